@@ -1,0 +1,272 @@
+"""All closed-loop poles from one scalar function.
+
+The closed loop of a mirror on n modes has 2n + 3 poles or so, most of them shifted from an open-loop pole by
+very little. They are found together by Aberth's method [Aberth1973] on Δ(s) Π_k D_k(s), and kept as open-loop
+pole plus shift: the shift, which carries all that matters of a nearly cancelled mode, keeps full relative
+accuracy however small it is.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import linalg
+
+from fosopt.control.loop import Loop, Receptances, characteristic, coupling, plant_impedance
+from fosopt.control.pid import pid_response
+from fosopt.control.state_space import closed_loop_state_space
+from fosopt.errors import SolverError
+from fosopt.modes import ModalSet
+from fosopt.ops import Dual
+
+Array = NDArray[np.float64]
+ComplexArray = NDArray[np.complex128]
+
+_MAX_ITERATIONS = 60
+_CONVERGED = 1e-9  # relative step of a shift; convergence is at least quadratic, so one more step is exact
+_TRACE = 1e-8
+
+
+@dataclass(frozen=True)
+class OpenLoopPoles:
+    """Poles of the modes a mirror can move, and their shapes at the mirror port and the hub.
+
+    Attributes
+    ----------
+    first, second
+        (n,) the two poles of each mode; conjugate, or both real [rad/s].
+    mirror_shape, hub_shape
+        (n,) mode shapes.
+    uncoupled
+        Poles of modes with a node at the mirror port: the loop neither moves nor sees them.
+    drifting
+        Whether a free rigid-body mode is present; its double pole at zero stays where it is, because internal
+        torque cannot move it.
+    """
+
+    first: ComplexArray
+    second: ComplexArray
+    mirror_shape: Array
+    hub_shape: Array
+    uncoupled: ComplexArray
+    drifting: bool
+
+    def receptances(self, base: ComplexArray, shift: ComplexArray) -> tuple[ComplexArray, ...]:
+        """g_hh, dg_hh/ds, g_h0, dg_h0/ds and Σ 1/(s − p) at s = base + shift, exact as the shift goes to zero."""
+        to_first = (base[:, None] - self.first) + shift[:, None]
+        to_second = (base[:, None] - self.second) + shift[:, None]
+        inverse = 1.0 / (to_first * to_second)
+        slope = -(to_first + to_second) * inverse**2
+        direct, cross = self.mirror_shape**2, self.mirror_shape * self.hub_shape
+        drift = self.first != 0
+        reciprocal = ((to_first + to_second) * inverse)[:, drift].sum(axis=1)
+        return inverse @ direct, slope @ direct, inverse @ cross, slope @ cross, reciprocal
+
+
+@dataclass(frozen=True)
+class ClosedLoopPoles:
+    """Closed-loop poles of the loop, one representative per conjugate pair.
+
+    Attributes
+    ----------
+    base, shift
+        (m,) each pole is base + shift [rad/s].
+    multiplicity
+        (m,) 2 for a conjugate pair (the upper one is kept), 1 for a real pole.
+    open_loop
+        What they were shifted from.
+    """
+
+    base: ComplexArray
+    shift: ComplexArray
+    multiplicity: NDArray[np.intp]
+    open_loop: OpenLoopPoles
+
+    @property
+    def value(self) -> ComplexArray:
+        """(m,) Poles that the loop moves [rad/s]."""
+        return self.base + self.shift
+
+    @property
+    def all(self) -> ComplexArray:
+        """Every pole but a free rigid body's double zero, conjugates and uncoupled modes included [rad/s]."""
+        value = self.value
+        return np.concatenate([value, value[self.multiplicity == 2].conj(), self.open_loop.uncoupled])
+
+    @property
+    def spectral_abscissa(self) -> float:
+        """Largest real part [rad/s]; the loop is stable when it is negative.
+
+        A free rigid body's drift is not counted: it is no matter of the loop.
+        """
+        uncoupled = self.open_loop.uncoupled
+        return float(max(self.value.real.max(), uncoupled.real.max() if uncoupled.size else -np.inf))
+
+    def receptances(self) -> tuple[Receptances, Receptances]:
+        """Receptances at the poles, and their derivatives in `s`."""
+        direct, slope, cross, cross_slope, _ = self.open_loop.receptances(self.base, self.shift)
+        return Receptances(direct, cross), Receptances(slope, cross_slope)
+
+
+def open_loop_poles(modes: ModalSet, mirror_port: str) -> OpenLoopPoles:
+    """Open-loop poles of a modal set, split by whether the mirror can move them."""
+    stiffness, half = modes.stiffness, 0.5 * modes.damping
+    root = np.sqrt((half**2 - stiffness).astype(complex))
+    first, second = -half + root, -half - root
+    h, o = modes.at(mirror_port), modes.at("hub")
+    seen = h != 0.0
+    hidden = ~seen & (stiffness > 0)
+    return OpenLoopPoles(
+        first[seen],
+        second[seen],
+        h[seen],
+        o[seen],
+        np.concatenate([first[hidden], second[hidden]]),
+        drifting=bool(np.any(stiffness == 0)),
+    )
+
+
+def closed_loop_poles(loop: Loop, modes: ModalSet, mirror_port: str) -> ClosedLoopPoles:
+    """All closed-loop poles.    [Barker1991] Eq. (4.30)
+
+    Raises
+    ------
+    SolverError
+        If neither Aberth's method nor the dense eigenvalue solver gives a complete set of poles.
+    """
+    open_loop = open_loop_poles(modes, mirror_port)
+    base, shift, multiplicity = _start(loop, open_loop)
+    found = _aberth(loop, open_loop, base, shift, multiplicity)
+    if found is None or not _complete(loop, open_loop, found):
+        found = _dense(loop, modes, mirror_port, open_loop)
+        if not _complete(loop, open_loop, found):
+            raise SolverError(
+                "closed-loop poles: the set found violates the sum of poles (trace); rescale gains or inertia"
+            )
+    return found
+
+
+def _controller_poles(loop: Loop) -> ComplexArray:
+    """Poles of the loop on a rigid support, the guess for those that belong to mirror and controller."""
+    mirror, pid = loop.mirror, loop.controller
+    plant = np.array([mirror.inertia, mirror.damping, mirror.stiffness], dtype=float)
+    integrator = np.array([1.0, 0.0]) if pid.ki else np.array([1.0])
+    low_pass = np.array([pid.rolloff_time, 1.0]) if pid.rolloff_time and pid.kd else np.array([1.0])
+    terms = np.polymul(np.polymul([pid.kp], integrator), low_pass)
+    terms = np.polyadd(terms, np.polymul([pid.kd, 0.0], integrator))
+    if pid.ki:
+        terms = np.polyadd(terms, np.polymul([pid.ki], low_pass))
+    return np.roots(np.polyadd(np.polymul(plant, np.polymul(integrator, low_pass)), pid.gain * terms)).astype(complex)
+
+
+def _start(loop: Loop, open_loop: OpenLoopPoles) -> tuple[ComplexArray, ComplexArray, NDArray[np.intp]]:
+    controller = _controller_poles(loop)
+    moving = open_loop.first != 0
+    pair = open_loop.first.imag > 0
+    real = moving & ~pair
+    upper = controller[controller.imag > 0]
+    single = controller[controller.imag == 0]
+    structural = np.concatenate([open_loop.first[pair], open_loop.first[real], open_loop.second[real]])
+    base = np.concatenate([structural, upper, single])
+    multiplicity = np.concatenate(
+        [np.full(pair.sum(), 2), np.ones(2 * real.sum(), int), np.full(upper.size, 2), np.ones(single.size, int)]
+    )
+    # First-order shift of a structural pole: Δ without its own mode, which is singular there, over the rest.
+    own = np.concatenate([np.flatnonzero(pair), np.flatnonzero(real), np.flatnonzero(real)])
+    shift = np.zeros_like(base)
+    s = structural[:, None]
+    factors = (s - open_loop.first) * (s - open_loop.second)
+    factors[np.arange(own.size), own] = np.inf
+    rest = (open_loop.mirror_shape**2 / factors).sum(axis=1)
+    delta = characteristic(loop, structural, Receptances(rest, 0.0))
+    other = np.where(structural == open_loop.first[own], open_loop.second[own], open_loop.first[own])
+    push = loop.mirror.inertia * structural**2 * coupling(loop, structural) * open_loop.mirror_shape[own] ** 2
+    first_order = -push / (delta * (structural - other))
+    limit = 0.2 * np.abs(structural)
+    first_order *= np.minimum(1.0, limit / np.maximum(np.abs(first_order), 1e-300))
+    shift[: own.size] = np.where(multiplicity[: own.size] == 1, first_order.real, first_order)
+    return base, shift, multiplicity
+
+
+def _aberth(
+    loop: Loop,
+    open_loop: OpenLoopPoles,
+    base: ComplexArray,
+    shift: ComplexArray,
+    multiplicity: NDArray[np.intp],
+) -> ClosedLoopPoles | None:
+    pid = loop.controller
+    real, pair = multiplicity == 1, multiplicity == 2
+    to_base = base[:, None] - base[None, :]
+    to_mirrored = base[:, None] - base[None, pair].conj()
+    finishing = False
+    with np.errstate(all="ignore"):
+        for _ in range(_MAX_ITERATIONS):
+            direct, slope, *_, reciprocal = open_loop.receptances(base, shift)
+            s = base + shift
+            delta = characteristic(loop, Dual(s, 1.0), Receptances(Dual(direct, slope), 0.0))
+            known = reciprocal
+            if pid.ki:
+                known = known + 1 / s
+            if pid.rolloff_time and pid.kd:
+                known = known + pid.rolloff_time / (1 + pid.rolloff_time * s)
+            apart = to_base + (shift[:, None] - shift[None, :])
+            np.fill_diagonal(apart, np.inf)
+            repulsion = (1 / apart).sum(axis=1)
+            repulsion += (1 / (to_mirrored + (shift[:, None] - shift[None, pair].conj()))).sum(axis=1)
+            # Multiplied through by Δ, so that a shift that is already exact gives a step of zero.
+            step = delta.value / (delta.slope + delta.value * (known - repulsion))
+            step = np.where(real, step.real, step)
+            if not np.all(np.isfinite(step)):
+                return None
+            shift = shift - step
+            size = np.abs(step)
+            settled = bool(np.all((size <= _CONVERGED * np.abs(shift)) | (size <= 1e-15 * np.abs(s))))
+            if settled and finishing:
+                return ClosedLoopPoles(base, shift, multiplicity, open_loop)
+            finishing = settled
+    return None
+
+
+def _complete(loop: Loop, open_loop: OpenLoopPoles, poles: ClosedLoopPoles) -> bool:
+    """Whether the poles add up to the trace of the closed loop, which a missing or doubled pole would break."""
+    mirror, pid = loop.mirror, loop.controller
+    value, weight = poles.value, poles.multiplicity
+    if np.any(value[weight == 2].imag <= 0):
+        return False
+    modal = -(open_loop.first + open_loop.second).real.sum() + mirror.damping * (open_loop.mirror_shape**2).sum()
+    modal += mirror.damping / mirror.inertia
+    low_pass = pid.rolloff_time > 0 and pid.kd != 0
+    trace = modal + (1 / pid.rolloff_time if low_pass else pid.gain * pid.kd / mirror.inertia)
+    found = -(weight * value.real).sum()
+    count = 2 * int((open_loop.first != 0).sum()) + 2 + (pid.ki != 0) + low_pass
+    return int(weight.sum()) == count and abs(found - trace) <= _TRACE * np.abs(value).sum()
+
+
+def _dense(loop: Loop, modes: ModalSet, mirror_port: str, open_loop: OpenLoopPoles) -> ClosedLoopPoles:
+    """Poles from the dense state matrix, polished one by one; for loops on which Aberth's method stalls."""
+    seen = modes.keep(np.flatnonzero(modes.at(mirror_port) != 0.0))
+    eigenvalue = linalg.eigvals(closed_loop_state_space(loop, seen, mirror_port).a)
+    if open_loop.drifting:
+        eigenvalue = eigenvalue[np.argsort(np.abs(eigenvalue))[2:]]
+    real = eigenvalue.imag == 0
+    kept = eigenvalue[real | (eigenvalue.imag > 0)]
+    multiplicity = np.where(kept.imag == 0, 1, 2)
+    known = np.concatenate([open_loop.first, open_loop.second])
+    base = kept.copy()
+    if known.size:
+        nearest = known[np.argmin(np.abs(kept[:, None] - known), axis=1)]
+        close = (np.abs(nearest - kept) < 1e-3 * np.abs(kept)) & ((nearest.imag == 0) == (kept.imag == 0))
+        base = np.where(close, nearest, kept)
+    shift = kept - base
+    polished = _aberth(loop, open_loop, base, np.where(shift == 0, 1e-14 * np.abs(base), shift), multiplicity)
+    return polished or ClosedLoopPoles(base, shift, multiplicity, open_loop)
+
+
+def pole_condition(loop: Loop, s: ComplexArray, g: Receptances) -> Array:
+    """|Δ(s)| over the sum of the sizes of its two parts: the residual of a closed-loop pole [-]."""
+    return np.abs(characteristic(loop, s, g)) / (
+        np.abs(plant_impedance(loop, s, g)) + np.abs(pid_response(loop.controller, s))
+    )

@@ -1,0 +1,206 @@
+"""Pin-ended trusses with rigid battens: definition, mass and stiffness.
+
+A `Truss` is what an engineer writes down: nodes, bars, battens, springs, supports and ports. `assemble` turns
+it into a `Structure`, in which mass and stiffness are congruences of two constant sparse matrices with
+weights that are linear in the design parameters (bar areas, batten masses, mirror mass).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import sparse
+
+from fosopt import ops
+from fosopt.errors import ModelError, did_you_mean
+
+Array = NDArray[np.float64]
+
+TRANSLATIONS = ("x", "y", "z")
+ROTATIONS = ("rx", "ry", "rz")
+
+
+@dataclass(frozen=True)
+class Bar:
+    """A pin-ended axial member.
+
+    `young` and `density` may be effective values that include end fittings [Pa], [kg/m³]; `area` [m²] is the
+    start value when it is a design variable.
+    """
+
+    name: str
+    nodes: tuple[str, str]
+    area: float
+    young: float
+    density: float
+    kind: str = "bar"
+    bay: int = 0
+
+
+@dataclass(frozen=True)
+class Batten:
+    """A rigid body that carries nodes, with its mass [kg] and rotary inertia [kg m²] about its center.
+
+    `inertia` is one value in a plane; in space the three principal values along the axes. `center` defaults
+    to the mean of its nodes [m].
+    """
+
+    name: str
+    nodes: tuple[str, ...]
+    mass: float
+    inertia: float | tuple[float, float, float]
+    center: tuple[float, ...] | None = None
+    bay: int = 0
+
+
+@dataclass(frozen=True)
+class PointMass:
+    """A mass [kg] at a node, or a mass with rotary inertia [kg m²] at the center of a batten."""
+
+    at: str
+    mass: float
+    inertia: float = 0.0
+
+
+@dataclass(frozen=True)
+class Spring:
+    """A spring to ground at one component of a node or batten [N/m] or [N m/rad]."""
+
+    at: str
+    component: str
+    stiffness: float
+
+
+@dataclass(frozen=True)
+class Truss:
+    """A truss as written down; lengths in m.
+
+    `ports` names the degrees of freedom where something is attached, pushed or measured: port name to
+    (node or batten, component). The port ``hub`` fixes the axis of rigid-body rotation.
+    """
+
+    nodes: Mapping[str, tuple[float, ...]]
+    bars: tuple[Bar, ...]
+    ports: Mapping[str, tuple[str, str]]
+    supports: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
+    battens: tuple[Batten, ...] = ()
+    points: tuple[PointMass, ...] = ()
+    springs: tuple[Spring, ...] = ()
+
+
+@dataclass(frozen=True)
+class Structure:
+    """An assembled truss: constant matrices and linear weights.
+
+    Shapes: n degrees of freedom, b bars, r battens, k stiffness rows, m mass rows.
+
+    Attributes
+    ----------
+    dofs
+        (n,) names such as ``B20.rz``.
+    stiffness_rows, stiffness_by_area, stiffness_constant
+        (k, n) elongation per displacement, (k, b) [N/m per m²], (k,) [N/m].
+    mass_rows, mass_by_area, mass_by_batten, mass_by_mirror, mass_constant
+        (m, n) velocity per velocity, (m, b) [kg per m²], (m, r), (m,), (m,) [kg] or [kg m²].
+    bar_mass_per_area, mass_fixed
+        (b,) [kg/m²], and the mass of the point masses [kg].
+    hub_arm
+        (m,) motion of each mass row per unit rotation about the hub.
+    ports
+        Port name to its (n,) row.
+    """
+
+    truss: Truss
+    dofs: tuple[str, ...]
+    stiffness_rows: sparse.csr_array
+    stiffness_by_area: sparse.csr_array
+    stiffness_constant: Array
+    mass_rows: sparse.csr_array
+    mass_by_area: sparse.csr_array
+    mass_by_batten: sparse.csr_array
+    mass_by_mirror: Array
+    mass_constant: Array
+    bar_mass_per_area: Array
+    mass_fixed: float
+    hub_arm: Array
+    ports: Mapping[str, Array]
+
+    @property
+    def area(self) -> Array:
+        """(b,) Start areas of the bars [m²]."""
+        return np.array([bar.area for bar in self.truss.bars])
+
+    @property
+    def batten_mass(self) -> Array:
+        """(r,) Start masses of the battens [kg]."""
+        return np.array([batten.mass for batten in self.truss.battens])
+
+    def port(self, name: str) -> Array:
+        """(n,) Row that reads a port's motion.
+
+        Raises
+        ------
+        ModelError
+            If there is no port of that name.
+        """
+        if name not in self.ports:
+            raise ModelError(f"port '{name}' does not exist; {did_you_mean(name, self.ports)}")
+        return self.ports[name]
+
+
+def stiffness_matrix(structure: Structure, area: Any) -> Any:
+    """Stiffness matrix K(a) = Bᵀ diag(E a / L) B plus springs.
+
+    Assumes small displacements and pin-ended bars.    [Barker1991] Eq. (2.1)
+
+    Returns
+    -------
+    (n, n)
+        Linear in the areas [N/m], [N m/rad].
+    """
+    return ops.congruence(structure.stiffness_rows, stiffness_weights(structure, area))
+
+
+def stiffness_weights(structure: Structure, area: Any) -> Any:
+    """(k,) Axial stiffness E a / L of each bar, then of each spring [N/m]."""
+    return ops.linear(structure.stiffness_by_area, area) + structure.stiffness_constant
+
+
+def mass_matrix(structure: Structure, area: Any, batten_mass: Any, mirror_mass: Any) -> Any:
+    """Consistent mass matrix with rigid battens, point masses and the mirror's mass at its port.
+
+    A bar of mass m contributes m |v̄|² + m |Δv|²/12, mean and difference of its end velocities, which is the
+    consistent mass of a linear displacement field.    [Barker1991] Eq. (2.1)
+
+    Returns
+    -------
+    (n, n)
+        Linear in all parameters [kg], [kg m²].
+    """
+    return ops.congruence(structure.mass_rows, mass_weights(structure, area, batten_mass, mirror_mass))
+
+
+def mass_weights(structure: Structure, area: Any, batten_mass: Any, mirror_mass: Any) -> Any:
+    """(m,) Mass or rotary inertia carried by each mass row [kg], [kg m²]."""
+    return (
+        ops.linear(structure.mass_by_area, area)
+        + ops.linear(structure.mass_by_batten, batten_mass)
+        + structure.mass_by_mirror * mirror_mass
+        + structure.mass_constant
+    )
+
+
+def structural_mass(structure: Structure, area: Any, batten_mass: Any) -> Any:
+    """Mass of bars, battens and point masses, without the mirror [kg]."""
+    bars = ops.total(structure.bar_mass_per_area * area)
+    return bars + ops.total(batten_mass) + structure.mass_fixed
+
+
+def structure_inertia(structure: Structure, area: Any, batten_mass: Any) -> Any:
+    """Inertia of the structure about the hub, without the mirror: J_truss of section 4.3 [kg m²]."""
+    weights = mass_weights(structure, area, batten_mass, 0.0)
+    return ops.total(structure.hub_arm**2 * weights)
