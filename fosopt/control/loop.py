@@ -65,37 +65,44 @@ def loop_transfer(loop: Loop, s: Any, g: Receptances) -> Any:
     return pid_response(loop.controller, s) / plant_impedance(loop, s, g)
 
 
-def command_response(loop: Loop, s: Any, g: Receptances) -> Any:
-    """Mirror angle per commanded angle, T(s) = K/Δ [-].    [Barker1991] Eq. (4.28)"""
-    return pid_response(loop.controller, s) / characteristic(loop, s, g)
+def command_numerator(loop: Loop, s: Any, g: Receptances) -> Any:
+    """K: mirror angle per commanded angle times Δ.    [Barker1991] Eq. (4.28)"""
+    return pid_response(loop.controller, s)
 
 
-def line_of_sight_response(loop: Loop, s: Any, g: Receptances) -> Any:
-    """Line-of-sight error per line-of-sight displacement, S(s) = 1 − T [-]."""
-    return plant_impedance(loop, s, g) / characteristic(loop, s, g)
+def line_of_sight_numerator(loop: Loop, s: Any, g: Receptances) -> Any:
+    """1/G: line-of-sight error per line-of-sight displacement times Δ."""
+    return plant_impedance(loop, s, g)
 
 
-def sensor_noise_response(loop: Loop, s: Any, g: Receptances) -> Any:
-    """Mirror angle per measurement noise, −T(s) [-]."""
-    return -command_response(loop, s, g)
+def sensor_noise_numerator(loop: Loop, s: Any, g: Receptances) -> Any:
+    """−K: mirror angle per measurement noise times Δ."""
+    return -pid_response(loop.controller, s)
 
 
-def mirror_torque_response(loop: Loop, s: Any, g: Receptances) -> Any:
-    """Mirror angle per external torque on the mirror, (1 + κ g_hh)/Δ [rad/(N m)]."""
-    return (1 + coupling(loop, s) * g.direct) / characteristic(loop, s, g)
+def mirror_torque_numerator(loop: Loop, s: Any, g: Receptances) -> Any:
+    """1 + κ g_hh: mirror angle per external torque on the mirror times Δ."""
+    return 1 + coupling(loop, s) * g.direct
 
 
-def hub_torque_response(loop: Loop, s: Any, g: Receptances) -> Any:
-    """Mirror angle per torque on the hub (aft-to-fore body), κ g_h0/Δ [rad/(N m)]."""
-    return coupling(loop, s) * g.cross / characteristic(loop, s, g)
+def hub_torque_numerator(loop: Loop, s: Any, g: Receptances) -> Any:
+    """κ g_h0: mirror angle per torque on the hub (aft-to-fore body) times Δ."""
+    return coupling(loop, s) * g.cross
 
 
-Response = Callable[[Loop, Any, Receptances], Any]
+Formula = Callable[[Loop, Any, Receptances], Any]
 
-# Where a disturbance enters the loop, and how the line of sight answers.
-DISTURBANCE_RESPONSES: dict[str, Response] = {
-    "mirror_torque": mirror_torque_response,
-    "hub_torque": hub_torque_response,
-    "line_of_sight": line_of_sight_response,
-    "sensor_noise": sensor_noise_response,
+# Numerators over the common denominator Δ(s). The first four say where a disturbance enters the loop and how
+# the line of sight answers; S = line_of_sight and T = command are the sensitivity functions.
+NUMERATORS: dict[str, Formula] = {
+    "mirror_torque": mirror_torque_numerator,
+    "hub_torque": hub_torque_numerator,
+    "line_of_sight": line_of_sight_numerator,
+    "sensor_noise": sensor_noise_numerator,
+    "command": command_numerator,
 }
+
+
+def closed_loop_response(name: str, loop: Loop, s: Any, g: Receptances) -> Any:
+    """Closed-loop transfer function from an input to the line of sight, by its name in `NUMERATORS`."""
+    return NUMERATORS[name](loop, s, g) / characteristic(loop, s, g)

@@ -1,0 +1,1 @@
+"""Metrics of a flexible optical system, each with its exact differential."""

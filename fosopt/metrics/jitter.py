@@ -1,0 +1,142 @@
+"""Jitter: rms line-of-sight error under random disturbances, with its exact differential.
+
+For a transfer function H with simple poles p_i in the left half plane and residues r_i,
+
+    J = (1/2π) ∫ |H(jω)|² dω = Σ_i r_i H(−p_i),    dJ = 2 Σ_i r_i dH(−p_i),
+
+the second because only H(−s), which keeps still, has poles to the right [Gugercin2008]. No derivative of a pole
+or of a residue appears, so the differential holds through mode crossings. Tabulated spectra, finite bands and
+filters with repeated poles use a quadrature that is refined at every resonance [Johnston2005].
+"""
+
+from __future__ import annotations
+
+from math import inf, pi
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fosopt.control import NUMERATORS, ClosedLoopPoles, characteristic, closed_loop_response
+from fosopt.errors import UnstableError
+from fosopt.metrics.disturbances import Disturbance
+from fosopt.metrics.functional import Functional, LoopModel
+from fosopt.ops import Dual
+
+Array = NDArray[np.float64]
+ComplexArray = NDArray[np.complex128]
+
+_NODES = 20  # per half panel; 20 leave 1e-10 of a resonance a thousand times narrower than its panel
+
+
+def jitter_variance(
+    model: LoopModel, poles: ClosedLoopPoles, disturbance: Disturbance, shift: float = 0.0
+) -> tuple[float, Functional]:
+    """Mean square line-of-sight error of one disturbance, and its differential.
+
+    Parameters
+    ----------
+    shift
+        Evaluate H(s + shift) instead of H(s): finite for a loop whose poles lie left of `shift`, and the loop's
+        own jitter at zero. Minimizing it while `shift` falls stabilizes a loop [rad/s].
+
+    Returns
+    -------
+    float
+        Variance [rad²].
+    Functional
+        Its differential.
+
+    Raises
+    ------
+    UnstableError
+        If a closed-loop pole does not lie left of `shift`: an unstable loop has no jitter.
+    """
+    if not poles.spectral_abscissa < shift:
+        raise UnstableError(f"closed loop is unstable: a pole has the real part {poles.spectral_abscissa:.6g} rad/s")
+    if disturbance.by_residues:
+        return _by_residues(model, poles, disturbance, shift)
+    return _by_quadrature(model, poles, disturbance, shift)
+
+
+def pole_residues(model: LoopModel, poles: ClosedLoopPoles, response: str) -> ComplexArray:
+    """(m,) Residues N(p)/Δ'(p) of a closed-loop transfer function at the poles the loop moves."""
+    g, slope = poles.receptances()
+    s = poles.value
+    delta = characteristic(
+        model.loop, Dual(s, 1.0), type(g)(Dual(g.direct, slope.direct), Dual(g.cross, slope.cross))
+    )
+    return NUMERATORS[response](model.loop, s, g) / delta.slope
+
+
+def _by_residues(
+    model: LoopModel, poles: ClosedLoopPoles, disturbance: Disturbance, shift: float
+) -> tuple[float, Functional]:
+    shape = disturbance.filter
+    assert shape is not None
+    residues = poles.multiplicity * pole_residues(model, poles, disturbance.at) * shape.response(poles.value)
+    points = 2 * shift - poles.value
+    own = shape.poles
+    if own.size:
+        at_filter = closed_loop_response(disturbance.at, model.loop, own, model.receptances(own))
+        residues = np.concatenate([residues, at_filter * shape.residues()])
+        points = np.concatenate([points, 2 * shift - own])
+    filtered = residues * shape.response(points)
+    response = closed_loop_response(disturbance.at, model.loop, points, model.receptances(points))
+    variance = float(np.sum(filtered * response).real)
+    return variance, Functional(disturbance.at, points, 2 * filtered)
+
+
+def _by_quadrature(
+    model: LoopModel, poles: ClosedLoopPoles, disturbance: Disturbance, shift: float
+) -> tuple[float, Functional]:
+    low, high = disturbance.counted
+    cuts = disturbance.frequency if disturbance.frequency is not None else np.zeros(0)
+    own = disturbance.filter.poles if disturbance.filter is not None else np.zeros(0, complex)
+    nodes, weights = resonance_quadrature(np.concatenate([poles.all - shift, own]), low, high, cuts)
+    s = 1j * nodes + shift
+    response = closed_loop_response(disturbance.at, model.loop, s, model.receptances(s))
+    density = weights / (2 * pi) * disturbance.one_sided_psd(nodes)
+    return float(np.sum(density * np.abs(response) ** 2)), Functional(disturbance.at, s, 2 * density * response.conj())
+
+
+def resonance_quadrature(poles: ComplexArray, low: float, high: float, cuts: Array) -> tuple[Array, Array]:
+    """Nodes and weights for ∫ f(ω) dω from `low` to `high` with f resonant at the given poles.
+
+    Each panel holds at most one resonance at ω₀ of half width σ; the substitution ω = ω₀ + σ sinh u makes the
+    integrand smooth however narrow it is [Johnston2005].
+
+    Parameters
+    ----------
+    cuts
+        Further panel edges, such as the rows of a spectrum table [rad/s].
+
+    Returns
+    -------
+    (m,), (m,)
+        Nodes [rad/s] and weights.
+    """
+    size = np.abs(poles).max()
+    centers = np.unique(np.concatenate([[0.0], poles.imag[poles.imag > 0]]))
+    widths = np.array(
+        [np.abs(poles.real[np.isclose(poles.imag, c, rtol=1e-12, atol=0)]).min(initial=inf) for c in centers]
+    )
+    widths = np.where(np.isfinite(widths), widths, np.abs(poles).min())
+    top = 10 * size if high == inf else high
+    middles = 0.5 * (centers[1:] + centers[:-1])
+    inner = np.concatenate([middles, centers, cuts, [2 * size]])
+    edges = np.unique(np.concatenate([[low, top], inner[(inner > low) & (inner < top)]]))
+    left, right = edges[:-1], edges[1:]
+    nearest = np.searchsorted(middles, 0.5 * (left + right))
+    center, width = centers[nearest], widths[nearest]
+    x, w = np.polynomial.legendre.leggauss(_NODES)
+    u0, u1 = np.arcsinh((left - center) / width), np.arcsinh((right - center) / width)
+    half = 0.5 * (u1 - u0)
+    u = 0.5 * (u1 + u0)[:, None] + half[:, None] * x
+    nodes = (center[:, None] + width[:, None] * np.sinh(u)).ravel()
+    weights = (half[:, None] * w * width[:, None] * np.cosh(u)).ravel()
+    if high == inf:
+        # The tail in t = top/ω, where the integrand is smooth.
+        t, wt = 0.5 * (x + 1), 0.5 * w
+        nodes = np.concatenate([nodes, top / t])
+        weights = np.concatenate([weights, top * wt / t**2])
+    return nodes, weights

@@ -1,0 +1,119 @@
+"""Response to a step command: offset and residual rms in the window the requirement names.
+
+The error of the mirror angle after a step is e(t) = Σ_i q_i e^{p_i t}. Its differential is an integral of
+dT(s)/s along a path around the poles that matter in the window, on which e^{st} is small or smooth.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fosopt.control import ClosedLoopPoles, closed_loop_response
+from fosopt.errors import ModelError, UnstableError
+from fosopt.metrics.functional import Functional, LoopModel
+from fosopt.metrics.jitter import pole_residues
+
+Array = NDArray[np.float64]
+ComplexArray = NDArray[np.complex128]
+
+
+@dataclass(frozen=True)
+class StepCommand:
+    """A step command and the window it must have settled for.    [Barker1991] Table 3.1, Fig. 3.6
+
+    Attributes
+    ----------
+    command
+        Size of the step [rad].
+    window
+        Start (t_RMS) and end (t_RMS + t_DWELL) of the window [s].
+    """
+
+    command: float
+    window: tuple[float, float]
+
+    def __post_init__(self) -> None:
+        if not 0 < self.window[0] < self.window[1]:
+            raise ModelError(f"step: window {self.window} s must start after zero and end after it starts")
+
+
+def step_response(model: LoopModel, poles: ClosedLoopPoles, time: Array) -> Array:
+    """(m,) Mirror angle after a unit step command at (m,) times [s].    [Barker1991] Eq. (4.28)
+
+    Raises
+    ------
+    UnstableError
+        If the loop is unstable.
+    """
+    return 1 + _error(model, poles, time)
+
+
+def _error(model: LoopModel, poles: ClosedLoopPoles, time: Array) -> Array:
+    if not poles.spectral_abscissa < 0:
+        raise UnstableError(f"closed loop is unstable: a pole has the real part {poles.spectral_abscissa:.6g} rad/s")
+    amplitude = poles.multiplicity * pole_residues(model, poles, "command") / poles.value
+    steady = 0.0
+    if model.loop.controller.ki == 0:
+        # Without integral action the step leaves a steady error T(0) − 1.
+        near_zero = np.array([1e-9 + 0j])
+        static = closed_loop_response("command", model.loop, near_zero, model.receptances(near_zero))
+        steady = float(static[0].real) - 1
+    return steady + np.real(np.exp(np.outer(time, poles.value)) @ amplitude)
+
+
+def step_metrics(
+    model: LoopModel, poles: ClosedLoopPoles, step: StepCommand
+) -> dict[str, tuple[float, Functional]]:
+    """Offset and residual rms of a step command in its window, with their differentials.
+
+    Returns
+    -------
+    dict
+        ``step_offset``: size of the mean error over the window; ``step_rms``: rms about that mean [rad].
+    """
+    start, end = step.window
+    fastest = poles.value[poles.value.real > -40 / start]
+    fastest_frequency = np.abs(fastest.imag).max(initial=1 / start)
+    count = int(np.ceil((end - start) * fastest_frequency / np.pi)) + 12
+    x, w = np.polynomial.legendre.leggauss(2 * count)
+    time = 0.5 * (start + end) + 0.5 * (end - start) * x
+    weight = 0.5 * w
+    error = _error(model, poles, time)
+    mean = float(weight @ error)
+    rms = float(np.sqrt(weight @ (error - mean) ** 2))
+    s, along = _path(fastest_frequency, start, end)
+    kernel = np.exp(np.outer(s, time)) * weight
+    share = step.command * along / s
+    offset = Functional("command", s, share * kernel.sum(axis=1) * np.sign(mean))
+    residual = Functional("command", s, share * (kernel @ ((error - mean) / max(rms, 1e-300))))
+    return {
+        "step_offset": (step.command * abs(mean), offset),
+        "step_rms": (step.command * rms, residual),
+    }
+
+
+def _path(fastest: float, start: float, end: float) -> tuple[ComplexArray, ComplexArray]:
+    """Nodes and weights of (1/2πj)∮ ds, upper half counted twice, around all poles that matter after `start`.
+
+    Up along Re s = σ, past the fastest frequency, and left until e^{s·start} has died out.
+    """
+    sigma = 2.0 / end
+    top = 1.25 * fastest + 40 / start
+    left = -45.0 / start
+    x, w = np.polynomial.legendre.leggauss(12)
+
+    def panels(first: complex, last: complex, count: int) -> tuple[ComplexArray, ComplexArray]:
+        edges = first + (last - first) * np.linspace(0, 1, count + 1)
+        half = 0.5 * np.diff(edges)
+        nodes = (0.5 * (edges[1:] + edges[:-1]))[:, None] + half[:, None] * x
+        return nodes.ravel(), (half[:, None] * w).ravel()
+
+    up = panels(sigma, sigma + 1j * top, int(np.ceil(top / (2 * sigma))))
+    across = panels(sigma + 1j * top, left + 1j * top, 40)
+    s = np.concatenate([up[0], across[0]])
+    # The lower half is the conjugate: Im of the upper integral over π.
+    along = np.concatenate([up[1], across[1]]) / (1j * np.pi)
+    return s, along

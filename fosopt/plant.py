@@ -1,0 +1,195 @@
+"""The coupled plant: natural modes of mirror and structure together, as roots of a secular equation.
+
+A mirror on a spring adds one degree of freedom and one rank-one term to the diagonal modal stiffness. With
+λ = −s² the undamped characteristic function over J_m is
+
+    F(λ) = ω_m² − λ (1 + k_m g(λ)),    g(λ) = Σ_j φ_hj²/(λ̃_j − λ),
+
+which falls monotonically from pole to pole, so that each interval between two uncoupled modes holds exactly one
+coupled mode. Roots are kept as uncoupled eigenvalue plus distance, which makes 1 − β_k right to the last digits
+however small it is.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fosopt.actuators import Mirror
+from fosopt.errors import SolverError
+from fosopt.modes import ModalSet
+
+Array = NDArray[np.float64]
+
+_MAX_ITERATIONS = 200
+
+
+def secular(mirror: Mirror, eigenvalue: Any, g: Any) -> Any:
+    """F(λ) = ω_m² − λ (1 + k_m g), zero at a coupled mode.    [Barker1991] Eq. (4.18), [Golub1973]"""
+    return mirror.natural_frequency**2 - eigenvalue * (1 + mirror.stiffness * g)
+
+
+def secular_slope(mirror: Mirror, eigenvalue: Any, g: Any, g_slope: Any) -> Any:
+    """dF/dλ = −(1 + k_m g) − λ k_m dg/dλ; −1 over it is J̄_k.    [Barker1991] Eqs. (4.7), (4.10)"""
+    return -(1 + mirror.stiffness * g) - eigenvalue * mirror.stiffness * g_slope
+
+
+@dataclass(frozen=True)
+class CoupledModes:
+    """Undamped modes of structure and mirror together, ascending.
+
+    Attributes
+    ----------
+    base, distance
+        (n+1,) eigenvalue = base + distance, base an uncoupled eigenvalue or zero [rad²/s²].
+    effective_modal_reaction_inertia
+        (n+1,) J̄_k = J_m/J_k, zero for rigid-body modes [-].
+    zero
+        (n+1,) the transfer function zero (uncoupled eigenvalue) each mode is paired with, NaN for the mirror
+        mode [rad²/s²].
+    separation
+        (n+1,) β_k² − 1, with full relative accuracy, NaN for the mirror mode [-].
+    mirror_mode
+        Index of the mirror mode.
+    """
+
+    base: Array
+    distance: Array
+    effective_modal_reaction_inertia: Array
+    zero: Array
+    separation: Array
+    mirror_mode: int
+
+    @property
+    def eigenvalue(self) -> Array:
+        """(n+1,) ω_k² [rad²/s²]."""
+        return self.base + self.distance
+
+    @property
+    def natural_frequency(self) -> Array:
+        """(n+1,) ω_k [rad/s]."""
+        return np.sqrt(self.eigenvalue)
+
+    @property
+    def participation(self) -> Array:
+        """(n+1,) α_k = β_k² [-].    [Barker1991] Eq. (3.5)"""
+        return 1 + self.separation
+
+    @property
+    def pole_zero_separation(self) -> Array:
+        """(n+1,) β_k = ω_k/Ω_k, one for a cancelled pair [-].    [Barker1991] Eq. (2.55)"""
+        return np.sqrt(self.participation)
+
+    @property
+    def one_minus_separation(self) -> Array:
+        """(n+1,) 1 − β_k without cancellation [-]."""
+        return -self.separation / (1 + self.pole_zero_separation)
+
+
+def coupled_modes(modes: ModalSet, mirror: Mirror, mirror_port: str) -> CoupledModes:
+    """All coupled modes by the secular equation.    [Barker1991] Eqs. (4.10), (4.20)
+
+    Raises
+    ------
+    SolverError
+        If a root does not settle in its interval.
+    """
+    shape2 = modes.at(mirror_port) ** 2
+    uncoupled = modes.stiffness
+    order = np.argsort(uncoupled, kind="stable")
+    uncoupled, shape2 = uncoupled[order], shape2[order]
+    moved = (shape2 > 0) & (uncoupled > 0)
+    base, distance, reaction = _roots(mirror, uncoupled, shape2, moved)
+    poles = uncoupled[moved]
+    below = int(np.count_nonzero(poles < mirror.natural_frequency**2))
+    zero = np.insert(poles, below, np.nan)
+    same = base == zero
+    separation = np.where(same, distance, base + distance - zero) / zero
+
+    # Modes the mirror cannot move stay where they are: a node at the port, or a free rigid body.
+    still = uncoupled[~moved]
+    base = np.concatenate([base, still])
+    distance = np.concatenate([distance, np.zeros(still.size)])
+    position = np.argsort(base + distance, kind="stable")
+    merged = [
+        np.concatenate(pair)[position]
+        for pair in (
+            (reaction, np.zeros(still.size)),
+            (zero, np.where(still > 0, still, np.nan)),
+            (separation, np.zeros(still.size)),
+        )
+    ]
+    mirror_mode = int(np.flatnonzero(position == below)[0])
+    return CoupledModes(base[position], distance[position], *merged, mirror_mode=mirror_mode)
+
+
+def _roots(
+    mirror: Mirror, uncoupled: Array, shape2: Array, moved: NDArray[np.bool_]
+) -> tuple[Array, Array, Array]:
+    """Base, distance and J̄ of the root in each interval between the poles of F."""
+    k, wm2 = mirror.stiffness, mirror.natural_frequency**2
+    poles, weight = uncoupled[moved], shape2[moved]
+    # A free rigid body adds −λ k φ²/(0 − λ) = k φ², a constant.
+    constant = wm2 + k * shape2[uncoupled == 0].sum()
+    top = (poles[-1] if poles.size else 0.0) + 2 * (wm2 + k * (shape2.sum())) + 1.0
+    low, high = np.concatenate([[0.0], poles]), np.concatenate([poles, [top]])
+
+    def rest_and_poles(base: Array, distance: Array, own: NDArray[np.intp]) -> tuple[Array, Array, Array, Array]:
+        """F without its own pole term, its slope, and the own term's numerator λ k φ² with g's slope."""
+        gap = (poles[None, :] - base[:, None]) - distance[:, None]
+        rows = np.flatnonzero(own >= 0)
+        gap[rows, own[rows]] = np.inf
+        eigenvalue = base + distance
+        g = (weight / gap).sum(axis=1)
+        slope = (weight / gap**2).sum(axis=1)
+        rest = constant - eigenvalue * (1 + k * g)
+        rest_slope = -(1 + k * g) - eigenvalue * k * slope
+        strength = np.zeros(base.size)
+        strength[rows] = k * weight[own[rows]]
+        return rest, rest_slope, strength, eigenvalue
+
+    middle = 0.5 * (low + high)
+    n = low.size
+    none = np.full(n, -1)
+    with np.errstate(divide="ignore"):
+        at_middle = rest_and_poles(np.zeros(n), middle, none)[0]
+    # F falls through the interval: positive at the middle means the root is in the upper half.
+    upper = at_middle > 0
+    upper[-1] = False
+    own = np.where(upper, np.arange(n), np.arange(n) - 1)
+    base = np.where(upper, high, low)
+    inner, outer = np.zeros(n), np.where(upper, -1.0, 1.0) * np.where(
+        np.arange(n) == n - 1, high - low, 0.5 * (high - low)
+    )
+    # h = distance·rest + λ k φ² has the root of F without its pole; it is rest itself where there is no pole.
+    distance = np.where(own >= 0, 0.0, 0.5 * outer)
+    for _ in range(_MAX_ITERATIONS):
+        rest, rest_slope, strength, eigenvalue = rest_and_poles(base, distance, own)
+        pole = own >= 0
+        value = np.where(pole, distance * rest + eigenvalue * strength, rest)
+        slope = np.where(pole, rest + distance * rest_slope + strength, rest_slope)
+        # Sign of F on this side of the root decides which end of the bracket moves.
+        sign = np.where(pole, np.where(upper, -1.0, 1.0) * value, value)
+        before = np.where(upper, sign < 0, sign > 0)
+        inner = np.where(before, distance, inner)
+        outer = np.where(before, outer, distance)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            trial = distance - value / slope
+        lower_end, upper_end = np.minimum(inner, outer), np.maximum(inner, outer)
+        outside = ~((trial > lower_end) & (trial < upper_end))
+        trial = np.where(outside & (value != 0), 0.5 * (inner + outer), np.where(value == 0, distance, trial))
+        step = np.abs(trial - distance)
+        distance = trial
+        if np.all(step <= 1e-15 * np.abs(distance)):
+            break
+    else:
+        if np.any(step > 1e-12 * np.abs(distance)):
+            raise SolverError("coupled modes: a root of the secular equation does not settle; check the modal set")
+    gap = (poles[None, :] - base[:, None]) - distance[:, None]
+    g = (weight / gap).sum(axis=1) - shape2[uncoupled == 0].sum() / (base + distance)
+    g_slope = (weight / gap**2).sum(axis=1) + shape2[uncoupled == 0].sum() / (base + distance) ** 2
+    reaction = -1.0 / secular_slope(mirror, base + distance, g, g_slope)
+    return base, distance, reaction

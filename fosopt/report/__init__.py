@@ -1,0 +1,5 @@
+"""The report of a run: one self-contained HTML file that opens without a network."""
+
+from fosopt.report.html import write_report
+
+__all__ = ["write_report"]

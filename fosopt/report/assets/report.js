@@ -1,0 +1,280 @@
+// The page: fills the header and the overview once, and the rest anew for each selected point.
+
+const CONFIG = { responsive: true, displaylogo: false, modeBarButtonsToRemove: ["select2d", "lasso2d", "autoScale2d"] };
+
+// [id, width of the panel, height class, caption, figure or table]
+const PANELS = [
+  ["structure", "full", "", structureCaption, structureFigure],
+  ["metrics", "half", null, () => "Metrics of this point.", metricsTable],
+  ["variables", "half", null, () => "Design variables; a range opens to its values.", variablesTable],
+  ["constraints", "full", null, () => "Constraints, with the slack to the nearer bound and the multiplier of the active ones.", constraintsTable],
+  ["jitter", "half", "", () => "Line-of-sight jitter by source; sources add as root sum of squares.", jitterFigure],
+  ["cumulative", "half", "", () => "Cumulative jitter: root mean square of all that lies below a frequency.", cumulativeFigure],
+  ["bode", "half", "tall", () => "Loop transfer L: magnitude and phase. Dotted: 0 dB and −180°.", bodeFigure],
+  ["sensitivity", "half", "tall", sensitivityCaption, sensitivityFigure],
+  ["step", "half", "", () => "Response to a step command.", stepFigure],
+  ["poles", "half", "", () => "Closed-loop poles, one of each conjugate pair: natural frequency and damping ratio.", polesFigure],
+  ["modes", "full", null, modesCaption, modesTable],
+  ["history", "full", "", () => "Convergence: objective as the solver sees it, and largest constraint violation.", historyFigure],
+];
+
+const byKey = new Map(points.map((point) => [String(point.key), point]));
+const at = (id) => document.getElementById(id);
+const drawn = new Set();
+let selected = null;
+let pending = 0;
+
+function structureCaption(point) {
+  const truss = point.detail?.truss;
+  if (!truss) return "";
+  const { unit, factor } = areaUnit();
+  const range = span(scaled(truss.areas, factor));
+  const areas = range.size > 1e-9 * range.most ? `${number(range.least)} to ${withUnit(number(range.most), unit)}` : withUnit(number(range.most), unit);
+  return `Truss of ${truss.bars.length} bars, areas ${areas}. Line width grows with the square root of the area, as a bar's diameter `
+    + `does; color shows the area. Gray: battens.${isSlender(truss) ? " Below: area at the middle of each bar." : ""}`;
+}
+
+function sensitivityCaption(point) {
+  return point.status === "unstable"
+    ? "Sensitivity S and complementary sensitivity T. The closed loop is unstable: these curves bound no margin."
+    : "Sensitivity S and complementary sensitivity T; the peak of |S| is the reciprocal of the modulus margin.";
+}
+
+function draw(id, figure) {
+  const target = at(id);
+  drawn.add(id);
+  return Plotly.react(target, figure.data, figure.layout, CONFIG);
+}
+
+function release(id) {
+  if (drawn.delete(id)) Plotly.purge(at(id));
+}
+
+function makePanels() {
+  for (const [id, width, height] of PANELS) {
+    const caption = element("figcaption", { id: `${id}-caption` });
+    const holder = { id, "aria-labelledby": `${id}-caption`, role: height === null ? "region" : "img" };
+    const content = height === null
+      ? element("div", { ...holder, class: "scroll limited", tabindex: "0" })
+      : element("div", { ...holder, class: `plot ${height}` });
+    const body = height === null ? content : element("div", { class: "scroll" }, content);
+    const figure = element("figure", { class: `${width} ${height === null ? "tabular" : ""}`, id: `${id}-panel` });
+    // A table's caption stands above it, a figure's below, as in print.
+    figure.append(...(height === null ? [caption, body] : [body, caption]));
+    at("figures").append(figure);
+  }
+}
+
+function fillPanel([id, , height, caption, make], point) {
+  const made = make(point);
+  at(`${id}-panel`).hidden = !made;
+  if (!made) {
+    if (height !== null) release(id);
+    return;
+  }
+  at(`${id}-caption`).textContent = caption(point);
+  if (height === null) at(id).replaceChildren(made);
+  else draw(id, made);
+}
+
+function facts(point) {
+  const parent = point.parent !== null && point.parent !== undefined ? byKey.get(String(point.parent)) : null;
+  const known = [
+    ["State", mark(point)], ["Status", point.status], ["Strategy", point.strategy && strategyName(point.strategy)], ["Case", point.case],
+    ["Started from", parent && pick(parent.key, `point ${parent.key}`)], ["Iterations", point.iterations],
+    ["Time", typeof point.seconds === "number" ? `${number(point.seconds, 3)}\u00a0s` : null],
+    ["Starts that agree", point.starts ? `${point.starts.agreed} of ${point.starts.tried}` : null],
+    ["KKT residual", typeof point.kkt_residual === "number" ? number(point.kkt_residual, 2) : null],
+  ];
+  return known.filter(([, value]) => value !== null && value !== undefined && value !== "").map(([term, value]) =>
+    element("div", {}, element("dt", {}, term), element("dd", {}, value instanceof Node ? value : String(value))));
+}
+
+function pick(key, text) {
+  return element("button", { type: "button", class: "pick", "data-key": key }, text);
+}
+
+function valuesOf(point) {
+  return objectives.map((name, index) => {
+    const value = objective(point, index);
+    return `${quantity(name).label} ${value === null ? "without a value" : shown(name, value)}`;
+  }).join(", ");
+}
+
+function showPoint() {
+  const point = selected, title = titleOf(point);
+  at("selected-title").textContent = `Point ${point.key}${title ? `: ${title}` : ""}`;
+  at("bar-text").textContent = `Point ${point.key} · ${valuesOf(point)} · ${verdict(point)}`;
+  at("facts").replaceChildren(...facts(point));
+  const unwell = !isSound(point);
+  const reason = point.reason ?? (unwell ? `No reason was recorded for the state “${verdict(point)}”.` : "");
+  at("reason").hidden = !reason;
+  at("reason").textContent = reason ? `${capital(verdict(point))}: ${reason}` : "";
+  if (hasFront()) Plotly.restyle("front", ringOf(point), [at("front").data.length - 1]);
+  else if (drawn.has("front")) draw("front", barsFigure(point.key));
+  PANELS.forEach((panel) => fillPanel(panel, point));
+  at("announcement").textContent = `Point ${point.key} selected: ${valuesOf(point)}, ${verdict(point)}.`;
+}
+
+function select(key, { link = true } = {}) {
+  const point = byKey.get(String(key));
+  if (!point || point === selected) return;
+  selected = point;
+  for (const row of document.querySelectorAll("tr[data-key]")) {
+    const current = row.dataset.key === String(point.key);
+    row.classList.toggle("current", current);
+    row.querySelector("button.pick").setAttribute("aria-pressed", String(current));
+  }
+  if (link) history.replaceState(null, "", `#point=${encodeURIComponent(point.key)}`);
+  // A held arrow key asks for points faster than twelve panels can be drawn.
+  cancelAnimationFrame(pending);
+  pending = requestAnimationFrame(showPoint);
+}
+
+function keepInView(row, box) {
+  const [top, bottom] = [row.offsetTop - 40, row.offsetTop + row.offsetHeight];
+  if (top < box.scrollTop) box.scrollTop = top;
+  else if (bottom > box.scrollTop + box.clientHeight) box.scrollTop = bottom - box.clientHeight;
+}
+
+function step(by) {
+  const order = ordered();
+  const next = order[order.indexOf(selected) + by];
+  if (!next) return;
+  select(next.key);
+  const row = [...at("points").querySelectorAll("tr[data-key]")].find((one) => one.dataset.key === String(next.key));
+  if (!row) return;
+  keepInView(row, at("points"));
+  if (at("points").contains(document.activeElement)) row.querySelector("button").focus({ preventScroll: true });
+}
+
+function onKey(event) {
+  if (event.altKey || event.ctrlKey || event.metaKey || event.shiftKey) return;
+  const inPoints = at("points").contains(event.target);
+  // Elsewhere arrows keep their meaning: they scroll the page or a wide table.
+  const owned = event.target === document.body || at("bar").contains(event.target) || at("front").contains(event.target);
+  const by = { ArrowLeft: -1, ArrowRight: 1, ...(inPoints ? { ArrowUp: -1, ArrowDown: 1 } : {}) }[event.key];
+  if (!by || !(inPoints || owned)) return;
+  event.preventDefault();
+  step(by);
+}
+
+function fromAddress() {
+  const found = /^#point=(.*)$/.exec(location.hash);
+  if (!found) return null;
+  try {
+    return byKey.get(decodeURIComponent(found[1])) ?? null;
+  } catch {
+    return null;
+  }
+}
+
+// Without a link the middle of the first strategy's verified points stands for the front.
+function firstShown() {
+  const good = ordered().filter((point) => isSound(point) && !point.dominated && point.strategy === points[0].strategy);
+  return good[Math.floor((good.length - 1) / 2)] ?? ordered()[0];
+}
+
+function summary() {
+  const sound = points.filter(isSound);
+  const count = points.length === 1 ? `One ${run.kind === "analysis" ? "design" : "point"}` : `${points.length} points`;
+  const verified = points.length === 1 ? (sound.length ? "verified" : verdict(points[0])) : `${sound.length} of them verified`;
+  const best = objectives.flatMap((name, index) => {
+    const known = sound.filter((point) => objective(point, index) !== null);
+    if (!known.length) return [];
+    const least = known.reduce((a, b) => (objective(b, index) < objective(a, index) ? b : a));
+    const value = shown(name, objective(least, index));
+    return [points.length === 1 ? `${quantity(name).label} ${value}` : `least ${quantity(name).label} ${value} (point ${least.key})`];
+  });
+  return `${count}, ${verified}${best.length ? `: ${best.join("; ")}` : ""}.`;
+}
+
+function showOverview() {
+  at("overview").hidden = false;
+  at("points").replaceChildren(pointsTable());
+  at("points-hint").textContent = "Click a point or a row, or step with the arrow keys; all below follows.";
+  if (hasFront()) {
+    const [first, second] = objectives.map((name) => quantity(name).label);
+    at("overview-title").textContent = `${capital(second)} against ${first}`;
+    at("front-caption").textContent = "Filled marks are verified, open ones dominated, crosses not verified; a ring marks the selected "
+      + `point. ${points.some((point) => objective(point, 0) !== null && objective(point, 1) === null) ? "The strip on top holds points that have no value to plot. " : ""}`
+      + "The dotted line joins points and promises nothing between them.";
+    return draw("front", frontFigure());
+  }
+  at("overview-title").textContent = objectives.length === 1 ? capital(quantity(objectives[0]).label) : "Points";
+  const bars = objectives.length ? barsFigure(null) : null;
+  if (!bars) {
+    at("front").closest("figure").remove();
+    at("overview").querySelector(".overview").classList.add("single");
+    return null;
+  }
+  at("front-caption").textContent = `${capital(quantity(objectives[0]).label)} of each point; hatched bars are not verified.`;
+  at("front").classList.remove("tall");
+  return draw("front", bars);
+}
+
+// Paper is narrower than a screen, and figures do not shrink by themselves.
+function fitToPaper(printing) {
+  document.documentElement.classList.toggle("printing", printing);
+  for (const id of drawn) {
+    const size = printing ? { autosize: false, width: at(id).clientWidth, height: at(id).clientHeight } : { autosize: true, width: null, height: null };
+    Plotly.relayout(id, size);
+  }
+}
+
+function listen() {
+  document.addEventListener("click", (event) => {
+    const found = event.target instanceof Element ? event.target.closest("[data-key]") : null;
+    if (found) select(found.dataset.key);
+  });
+  document.addEventListener("keydown", onKey);
+  at("previous").addEventListener("click", () => step(-1));
+  at("next").addEventListener("click", () => step(1));
+  addEventListener("hashchange", () => {
+    const point = fromAddress();
+    if (point) select(point.key, { link: false });
+  });
+  addEventListener("beforeprint", () => fitToPaper(true));
+  addEventListener("afterprint", () => fitToPaper(false));
+  if (drawn.has("front")) {
+    at("front").on("plotly_click", (event) => {
+      const key = event.points[0].customdata;
+      if (key !== undefined) select(key);
+    });
+  }
+}
+
+function definitions(entries) {
+  return entries.map(([term, value]) => element("div", {}, element("dt", {}, term), element("dd", {}, String(value))));
+}
+
+function start() {
+  document.title = run.name ? `${run.name} · fosopt` : "fosopt report";
+  at("kicker").textContent = run.kind === "analysis" ? "fosopt · design analysis" : "fosopt · co-design study";
+  at("name").textContent = run.name || "fosopt report";
+  at("description").textContent = run.description ?? "";
+  at("summary").textContent = points.length ? summary() : "This run has no points.";
+  const provenance = Object.entries(run.provenance ?? {});
+  at("provenance").hidden = !provenance.length;
+  at("provenance-list").replaceChildren(...definitions(provenance));
+  if (!points.length) return;
+  if (points.length > 1) showOverview();
+  const cases = points.filter((point) => point.case);
+  if (cases.length && objectives.length) {
+    at("cases").hidden = false;
+    at("cases-table").replaceChildren(casesTable(cases));
+  }
+  if (run.comparison?.length) {
+    at("comparison").hidden = false;
+    at("comparison-text").textContent = comparisonText();
+    at("comparison-table").replaceChildren(comparisonTable());
+  }
+  at("selected").hidden = false;
+  at("bar").hidden = points.length === 1;
+  makePanels();
+  listen();
+  const linked = fromAddress();
+  select((linked ?? firstShown()).key, { link: false });
+}
+
+start();

@@ -1,0 +1,125 @@
+"""Write a run as one HTML file that needs nothing but a browser.
+
+plotly.js, the style, the script and the run's data stand in the file. Its content security policy names the
+two scripts by their hashes and forbids every request, so a hostile study name can neither run nor call home.
+"""
+
+from __future__ import annotations
+
+import base64
+import hashlib
+import json
+import os
+from collections.abc import Mapping
+from importlib.resources import files
+from pathlib import Path
+from string import Template
+
+SCRIPTS = ("format.js", "figures.js", "structure.js", "front.js", "tables.js", "report.js")
+"""Parts of the page's script, in the order in which they use each other."""
+
+WEBGL_POINTS = 10_000
+"""Above this many points the front is drawn by WebGL, as in ``front.js`` [-]."""
+
+
+def write_report(run: Mapping[str, object], path: Path) -> None:
+    """Write the report of a run, all of it or nothing.
+
+    The file replaces an older one only when it is complete. Points that are unstable or failed lose their
+    jitter and their step response before anything is written: such numbers exist nowhere in the file.
+
+    Parameters
+    ----------
+    run
+        The run data: names, quantities, points with their details, comparison.
+    path
+        The HTML file to write.
+
+    Raises
+    ------
+    ValueError
+        If a number of the run is not finite.
+    OSError
+        If the file cannot be written.
+    """
+    temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
+    try:
+        temporary.write_text(document(run), encoding="utf-8", newline="\n")
+        os.replace(temporary, path)
+    finally:
+        temporary.unlink(missing_ok=True)
+
+
+def document(run: Mapping[str, object]) -> str:
+    """The HTML text of the report of a run."""
+    # plotly takes a while to import, and only a report needs it.
+    from plotly.offline import get_plotlyjs
+
+    assets = files("fosopt.report") / "assets"
+    parts = "".join((assets / name).read_text(encoding="utf-8") for name in SCRIPTS)
+    script = f'(() => {{\n"use strict";\n{parts}}})();\n'
+    library: str = get_plotlyjs()
+    shown = {**run, "points": [_without_false_numbers(point) for point in _points(run)]}
+    return Template((assets / "report.html").read_text(encoding="utf-8")).substitute(
+        policy=_policy([library, script], evaluates=len(shown["points"]) > WEBGL_POINTS),
+        style=(assets / "report.css").read_text(encoding="utf-8"),
+        data=_embeddable(shown),
+        plotly=library,
+        script=script,
+    )
+
+
+def _policy(scripts: list[str], *, evaluates: bool) -> str:
+    """A content security policy that allows these inline scripts and no request at all."""
+    digests = (base64.b64encode(hashlib.sha256(text.encode()).digest()).decode() for text in scripts)
+    sources = [f"'sha256-{digest}'" for digest in digests]
+    if evaluates:
+        # plotly's WebGL scatter compiles its drawing commands; no other figure here needs it.
+        sources.append("'unsafe-eval'")
+    # plotly writes style rules at run time and makes an image of a figure through a data or blob address.
+    return (
+        f"default-src 'none'; script-src {' '.join(sources)}; style-src 'unsafe-inline'; "
+        "img-src data: blob:; base-uri 'none'; form-action 'none'"
+    )
+
+
+def _embeddable(data: object) -> str:
+    """JSON that no HTML parser can mistake for markup: ASCII, without ``<``, ``>`` and ``&``."""
+    text = json.dumps(data, allow_nan=False, ensure_ascii=True, separators=(",", ":"))
+    return text.replace("<", "\\u003c").replace(">", "\\u003e").replace("&", "\\u0026")
+
+
+def _points(run: Mapping[str, object]) -> list[Mapping[str, object]]:
+    points = run.get("points")
+    return [dict(point) for point in points] if isinstance(points, list) else []
+
+
+def _without_false_numbers(point: Mapping[str, object]) -> dict[str, object]:
+    """The point as it may be shown: without jitter and step response unless its loop is known to be stable."""
+    kept = dict(point)
+    metrics = _mapping(point.get("metrics"))
+    abscissa = metrics.get("spectral_abscissa")
+    growing = isinstance(abscissa, int | float) and abscissa >= 0
+    if not growing and point.get("status") not in ("unstable", "failed"):
+        return kept
+    kept["metrics"] = {name: None if _of_response(name) else value for name, value in metrics.items()}
+    constraints = point.get("constraints")
+    if isinstance(constraints, list):
+        kept["constraints"] = [
+            {**constraint, "value": None, "slack": None, "statement": None}
+            if _of_response(str(constraint.get("name")))
+            else constraint
+            for constraint in constraints
+        ]
+    if point.get("detail") is not None:
+        kept["detail"] = {**_mapping(point["detail"]), "jitter": None, "cumulative": None, "step": None}
+    return kept
+
+
+def _of_response(name: str) -> bool:
+    """Whether a metric, or an expression of metrics, means something for a stable loop only."""
+    return "jitter_" in name or "step_" in name
+
+
+def _mapping(value: object) -> dict[str, object]:
+    return dict(value) if isinstance(value, Mapping) else {}

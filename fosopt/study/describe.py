@@ -1,0 +1,213 @@
+"""A study as mathematics, for ``fosopt check``."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+
+from fosopt.expressions import Expression, parse_expression
+from fosopt.study.schema import Study, Variable
+from fosopt.study.schema_names import SIGNAL
+from fosopt.study.schema_rules import dimension_of, expression_dimension
+from fosopt.study.schema_system import Disturbance, Filter
+from fosopt.units import DIMENSIONS, HZ, dimension_name, display, show
+
+_INDENT = "  "
+
+
+def describe_study(study: Study) -> list[str]:
+    """Lines of plain text that state the problem: what is minimized, over what, subject to what."""
+    lines = [study.name]
+    lines += [line.rstrip() for line in study.description.splitlines() if line.strip()]
+    lines += ["", *_block("problem" if study.kind == "codesign" else "analysis", _problem(study))]
+    lines += ["", *_block("variables", (_variable(study, each) for each in study.variables))]
+    lines += ["", *_block("system", _system(study))]
+    lines += ["", *_block("disturbances", (_disturbance(each) for each in study.disturbances))]
+    return lines
+
+
+def _block(title: str, lines: Iterable[str]) -> list[str]:
+    body = [_INDENT + line for line in lines]
+    return [title, *(body or [f"{_INDENT}none"])]
+
+
+def _amount(study: Study, expression: Expression, value: float) -> str:
+    """A value of an expression in the unit people read, or bare where the unit has no name."""
+    if expression.reference is not None:
+        return show(value, dimension_of(study, expression.reference[0]))
+    vector = expression_dimension(study, expression)
+    dimension = None if vector is None else dimension_name(vector)
+    return f"{value:.6g}" if dimension is None else show(value, dimension)
+
+
+def _problem(study: Study) -> Iterator[str]:
+    for k, objective in enumerate(study.objectives):
+        front = f"   (Pareto front, {study.front.points} points)" if study.front and k else ""
+        yield f"{'minimize' if k == 0 else 'and':<12}{objective.minimize}{front}"
+    for k, constraint in enumerate(study.constraints):
+        metric = constraint.metric
+        lower = None if constraint.lower is None else _amount(study, metric, constraint.lower)
+        upper = None if constraint.upper is None else _amount(study, metric, constraint.upper)
+        if lower is not None and upper is not None:
+            text = f"{metric} = {lower}" if lower == upper else f"{lower} ≤ {metric} ≤ {upper}"
+        else:
+            text = f"{metric} ≥ {lower}" if upper is None else f"{metric} ≤ {upper}"
+        yield f"{'' if k else 'subject to':<12}{text}"
+    if study.kind == "codesign":
+        yield f"{'over':<12}{', '.join(_indexed(each) for each in study.variables)}"
+        solve = study.solve
+        compared = f", compared with {', '.join(solve.compare)}" if solve.compare else ""
+        starts = f"{solve.starts} start{'s' if solve.starts > 1 else ''}"
+        limit = f"at most {solve.time_limit:g} s per point"
+        yield f"{'by':<12}{solve.strategy} optimization{compared}, {starts}, {limit}"
+    for case in study.cases:
+        free = case.free if isinstance(case.free, str) else ", ".join(case.free) or "none"
+        yield f"{'case':<12}{case.name}: free {free}"
+    for name, value in study.requirements.items():
+        yield f"{'required':<12}{name} ≤ {_amount(study, parse_expression(name), value)}"
+
+
+def _indexed(variable: Variable) -> str:
+    return variable.name if variable.is_scalar else f"{variable.name}[k]"
+
+
+def _variable(study: Study, variable: Variable) -> str:
+    factor, unit = display(variable.dimension)
+    lower, upper = (f"{bound * factor:.6g}" for bound in (variable.lower, variable.upper))
+    bounds = f"{lower} ≤ {_indexed(variable)} ≤ {upper} {unit}".rstrip()
+    start = _start(study, variable)
+    groups = getattr(variable, "groups", None)
+    group_by = getattr(variable, "group_by", None)
+    kinds = getattr(variable, "kinds", None)
+    parts = [bounds, f"start {start}", f"{variable.scale} scale"]
+    if variable.name != variable.quantity:
+        parts.append(f"the {variable.quantity.replace('_', ' ')}")
+    if groups:
+        parts.append(
+            "one per group: "
+            + "; ".join(f"{name} = {', '.join(members)}" for name, members in groups.items())
+        )
+    elif group_by:
+        parts.append("one for all" if group_by == "all" else f"one per {group_by}")
+    if kinds:
+        parts.append(f"{', '.join(kinds)} only")
+    return ", ".join(parts)
+
+
+def _start(study: Study, variable: Variable) -> str:
+    given = study.design.get(variable.name)
+    if isinstance(given, tuple):
+        return f"from {len(given)} values of the design"
+    value = given if given is not None else variable.start
+    if value is None and variable.quantity not in ("area", "batten_mass"):
+        value = study.given(variable.quantity)
+    return "from the structure" if value is None else show(value, variable.dimension)
+
+
+def _system(study: Study) -> Iterator[str]:
+    structure, mirror, controller, hub = study.structure, study.mirror, study.controller, study.hub
+    if structure.type == "barker_truss":
+        yield f"structure   planar truss of {structure.bays} bays, {structure.boundary}"
+    else:
+        dimension = "planar" if len(next(iter(structure.nodes.values()))) == 2 else "spatial"
+        counts = f"{len(structure.nodes)} nodes, {len(structure.bars)} bars, {len(structure.battens)} battens"
+        yield f"structure   {dimension} truss of {counts}"
+    if hub.bandwidth is not None and hub.damping_ratio is not None:
+        held = show(hub.bandwidth, "frequency")
+        yield f"hub         held, bandwidth {held}, damping ratio {hub.damping_ratio:g}"
+    else:
+        yield f"hub         {hub.type}"
+    yield f"damping     {_damping(study)}"
+    yield f"modes       {_modes(study)}"
+    mass = (
+        show(mirror.mass, "mass")
+        if mirror.mass is not None
+        else f"{mirror.mass_fraction:g} of the total mass"
+    )
+    if mirror.inertia is not None:
+        inertia = show(mirror.inertia, "inertia")
+    else:
+        inertia = f"{100 * (mirror.inertia_ratio or 0):g} % of the structure's inertia"
+    if mirror.frequency is not None:
+        flexure = f"flexure at {show(mirror.frequency, 'frequency')}"
+    else:
+        flexure = f"flexure of {show(mirror.stiffness or 0, 'rotational_stiffness')}"
+    damping = f"damping ratio {mirror.damping_ratio:g}"
+    yield f"mirror      at port {mirror.port}: mass {mass}, inertia {inertia}, {flexure}, {damping}"
+    gain = f"gain {show(controller.gain, 'control_gain')}" if controller.gain is not None else ""
+    gain = (
+        f"crossover {show(controller.crossover, 'frequency')}" if controller.crossover is not None else gain
+    )
+    rolloff = f", roll-off {show(controller.rolloff, 'frequency')}" if controller.rolloff is not None else ""
+    terms = f"kd {controller.kd:g}, kp {controller.kp:g}, ki {controller.ki:g}"
+    yield f"controller  K(s) = gain (kd s² + kp s + ki)/s: {terms}, {gain}{rolloff}"
+    if study.step is not None:
+        start, end = (show(1e3 * time, "ratio") for time in study.step.window)
+        yield f"step        {show(study.step.command, 'angle')}, judged from {start} to {end} ms"
+
+
+def _damping(study: Study) -> str:
+    damping = study.damping
+    if damping.uniform is not None:
+        return f"ratio {damping.uniform:g} of every structural mode"
+    if damping.per_mode is not None:
+        return f"ratios of {len(damping.per_mode)} modes"
+    return (
+        f"table {damping.table}"
+        if isinstance(damping.table, str)
+        else f"table of {len(damping.table or ())} rows"
+    )
+
+
+def _modes(study: Study) -> str:
+    modes = study.modes
+    if modes is None:
+        return "all"
+    if modes.keep is not None:
+        return ", ".join(str(k) for k in modes.keep)
+    return (
+        f"the first {modes.count}"
+        if modes.count is not None
+        else f"below {show(modes.below or 0, 'frequency')}"
+    )
+
+
+def _disturbance(disturbance: Disturbance) -> str:
+    spectrum = (
+        f"PSD of {disturbance.psd}"
+        if disturbance.filter is None
+        else _filter(disturbance.filter, disturbance.at)
+    )
+    band = "all frequencies"
+    if disturbance.band is not None:
+        lower, upper = (edge / HZ for edge in disturbance.band)
+        band = f"{lower:.6g} to {upper:.6g} Hz"
+    elif disturbance.psd is not None:
+        band = "the table's range"
+    return f"{disturbance.name}: {disturbance.at.replace('_', ' ')}, {spectrum}, over {band}"
+
+
+def _filter(spectrum: Filter, at: str) -> str:
+    signal = SIGNAL[at]
+    match spectrum.type:
+        case "low_pass":
+            kind = f"low pass of order {spectrum.order} at {show(spectrum.corner, 'frequency')}"
+            return f"{kind}, rms {show(spectrum.rms, signal)}"
+        case "high_pass":
+            kind = f"high pass of order {spectrum.order} at {show(spectrum.corner, 'frequency')}"
+            return f"{kind}, density {show(spectrum.density, f'{signal}_density')}"
+        case "band_pass":
+            edges = f"{spectrum.lower / HZ:.6g} to {spectrum.upper / HZ:.6g} Hz"
+            return f"band pass of order {spectrum.order} from {edges}, rms {show(spectrum.rms, signal)}"
+        case "white":
+            return f"white, density {show(spectrum.density, f'{signal}_density')}"
+        case _:
+            ratio = f"({_polynomial(spectrum.numerator)})/({_polynomial(spectrum.denominator)})"
+            return f"H(s) = {ratio} {DIMENSIONS[signal].unit} on white noise"
+
+
+def _polynomial(coefficients: tuple[float, ...]) -> str:
+    degree = len(coefficients) - 1
+    powers = [
+        "" if degree == k else " s" if degree == k + 1 else f" s^{degree - k}" for k in range(degree + 1)
+    ]
+    return " + ".join(f"{c:g}{power}" for c, power in zip(coefficients, powers, strict=True) if c) or "0"

@@ -1,0 +1,319 @@
+"""The study file: the whole of it, and the half that says what is optimized."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Annotated, Any, Literal, Self
+
+from pydantic import Field, ModelWrapValidatorHandler, PrivateAttr, Tag, model_validator
+
+from fosopt.study.schema_base import (
+    ONE_OR_LIST,
+    TEXT_OR_LIST,
+    AnyQuantity,
+    Area,
+    Count,
+    DerivativeGain,
+    Gain,
+    Identifier,
+    IntegralGain,
+    Label,
+    Mass,
+    MetricExpression,
+    PositiveFraction,
+    PositiveFrequency,
+    PositiveInertia,
+    PositiveRatio,
+    PositiveTime,
+    ProportionalGain,
+    RuleError,
+    Section,
+    unique,
+)
+from fosopt.study.schema_names import QUANTITIES
+from fosopt.study.schema_rules import check_study
+from fosopt.study.schema_system import Controller, Damping, Disturbance, Hub, Mirror, Modes, Step
+from fosopt.study.schema_truss import Structure
+
+Groups = Annotated[dict[Identifier, Annotated[tuple[Label, ...], Field(min_length=1)]], Field(min_length=1)]
+
+
+def _own_name(data: dict[str, Any]) -> Any:
+    return data["quantity"]
+
+
+def _default_scale(data: dict[str, Any]) -> Any:
+    return "log" if data["lower"] > 0 else "linear"
+
+
+class _Variable(Section):
+    """What every design variable has beside its bounds."""
+
+    quantity: str
+    name: Identifier = Field(default_factory=_own_name)
+    lower: float
+    upper: float
+    start: float | None = None
+    scale: Literal["log", "linear"] = Field(default_factory=_default_scale)
+
+    @property
+    def dimension(self) -> str:
+        """Name of its dimension."""
+        return QUANTITIES[self.quantity]
+
+    @property
+    def is_scalar(self) -> bool:
+        """Whether it has one value, whatever the structure."""
+        return True
+
+    @model_validator(mode="after")
+    def _check_bounds(self) -> Self:
+        if self.upper <= self.lower:
+            raise RuleError("'upper' is not above 'lower'; change one of them", "upper")
+        if self.start is not None and not self.lower <= self.start <= self.upper:
+            raise RuleError("the start lies outside the bounds; move it between 'lower' and 'upper'", "start")
+        if self.scale == "log" and self.lower <= 0:
+            raise RuleError("a log scale needs a lower bound above zero; write 'scale: linear'", "scale")
+        return self
+
+
+class _MemberVariable(_Variable):
+    groups: Groups | None = None
+    group_by: str | None = None
+
+    @property
+    def is_scalar(self) -> bool:
+        """Whether it has one value, whatever the structure."""
+        return self.group_by == "all"
+
+    @model_validator(mode="after")
+    def _check_groups(self) -> Self:
+        if self.groups is not None and self.group_by is not None:
+            raise RuleError("'groups' and 'group_by' exclude each other; remove one", "group_by", of_key=True)
+        return self
+
+
+def _default_group_by(data: dict[str, Any]) -> Any:
+    return "member" if data["groups"] is None else None
+
+
+class AreaVariable(_MemberVariable):
+    """Cross-section areas of bars."""
+
+    quantity: Literal["area"]
+    group_by: Literal["member", "bay", "kind", "all"] | None = Field(default_factory=_default_group_by)
+    kinds: Annotated[tuple[Label, ...], Field(min_length=1)] | None = None
+    lower: Area
+    upper: Area
+    start: Area | None = None
+
+
+class BattenMassVariable(_MemberVariable):
+    """Masses of battens."""
+
+    quantity: Literal["batten_mass"]
+    group_by: Literal["member", "bay", "all"] | None = Field(default_factory=_default_group_by)
+    lower: Mass
+    upper: Mass
+    start: Mass | None = None
+
+
+class MirrorInertiaVariable(_Variable):
+    """The mirror's inertia."""
+
+    quantity: Literal["mirror_inertia"]
+    lower: PositiveInertia
+    upper: PositiveInertia
+    start: PositiveInertia | None = None
+
+
+class MirrorInertiaRatioVariable(_Variable):
+    """The mirror's inertia over that of the structure about the hub."""
+
+    quantity: Literal["mirror_inertia_ratio"]
+    lower: PositiveRatio
+    upper: PositiveRatio
+    start: PositiveRatio | None = None
+
+
+class FrequencyVariable(_Variable):
+    """The mirror's flexure frequency, or the crossover that sets the gain."""
+
+    quantity: Literal["mirror_frequency", "crossover"]
+    lower: PositiveFrequency
+    upper: PositiveFrequency
+    start: PositiveFrequency | None = None
+
+
+class GainVariable(_Variable):
+    """The gain of the controller."""
+
+    quantity: Literal["gain"]
+    lower: Gain
+    upper: Gain
+    start: Gain | None = None
+
+
+class ProportionalVariable(_Variable):
+    """The proportional gain kp."""
+
+    quantity: Literal["kp"]
+    lower: ProportionalGain
+    upper: ProportionalGain
+    start: ProportionalGain | None = None
+
+
+class IntegralVariable(_Variable):
+    """The integral gain ki."""
+
+    quantity: Literal["ki"]
+    lower: IntegralGain
+    upper: IntegralGain
+    start: IntegralGain | None = None
+
+
+class DerivativeVariable(_Variable):
+    """The derivative gain kd."""
+
+    quantity: Literal["kd"]
+    lower: DerivativeGain
+    upper: DerivativeGain
+    start: DerivativeGain | None = None
+
+
+Variable = Annotated[
+    AreaVariable
+    | BattenMassVariable
+    | MirrorInertiaVariable
+    | MirrorInertiaRatioVariable
+    | FrequencyVariable
+    | GainVariable
+    | ProportionalVariable
+    | IntegralVariable
+    | DerivativeVariable,
+    Field(discriminator="quantity"),
+]
+
+
+class Objective(Section):
+    """What is made as small as possible."""
+
+    minimize: MetricExpression
+
+
+class Constraint(Section):
+    """Bounds on a metric or an expression of metrics."""
+
+    metric: MetricExpression
+    lower: AnyQuantity | None = None
+    upper: AnyQuantity | None = None
+
+    @model_validator(mode="after")
+    def _check(self) -> Self:
+        if self.lower is None and self.upper is None:
+            raise RuleError("the constraint has no bound; add 'lower' or 'upper'")
+        if self.lower is not None and self.upper is not None and self.upper < self.lower:
+            raise RuleError("'upper' is below 'lower'; swap or change them", "upper")
+        return self
+
+
+class Front(Section):
+    """How finely the Pareto front of two objectives is drawn."""
+
+    points: Annotated[int, Field(strict=True, ge=2, le=10_000)]
+
+
+Strategy = Literal["simultaneous", "nested", "sequential"]
+
+
+class Solve(Section):
+    """How the problem is solved."""
+
+    strategy: Strategy = "simultaneous"
+    compare: tuple[Strategy, ...] = ()
+    starts: Count = 1
+    seed: Annotated[int, Field(strict=True, ge=0, lt=2**32)] = 1
+    tolerance: PositiveFraction = 1e-7
+    max_iterations: Count = 300
+    time_limit: PositiveTime = 60.0
+
+    @model_validator(mode="after")
+    def _check(self) -> Self:
+        unique(((name, ("compare", k)) for k, name in enumerate(self.compare)), "strategy")
+        if self.strategy in self.compare:
+            at = self.compare.index(self.strategy)
+            raise RuleError(
+                f"'{self.strategy}' is the strategy itself; compare with another one", "compare", at
+            )
+        return self
+
+
+class Case(Section):
+    """The same problem with a subset of the variables free."""
+
+    name: Label
+    free: Annotated[
+        Annotated[Literal["all", "none"], Tag("text")] | Annotated[tuple[Identifier, ...], Tag("list")],
+        TEXT_OR_LIST,
+    ]
+
+
+Values = Annotated[
+    Annotated[AnyQuantity, Tag("one")] | Annotated[tuple[AnyQuantity, ...], Field(min_length=1), Tag("list")],
+    ONE_OR_LIST,
+]
+
+
+class Study(Section):
+    """A study file that has been understood: all numbers in SI, all defaults filled in."""
+
+    fosopt: Literal[1]
+    name: Label
+    kind: Literal["codesign", "analysis"] = "codesign"
+    description: str = ""
+    structure: Structure
+    hub: Hub = Hub()
+    damping: Damping
+    modes: Modes | None = None
+    mirror: Mirror
+    controller: Controller
+    disturbances: tuple[Disturbance, ...] = ()
+    step: Step | None = None
+    variables: tuple[Variable, ...] = ()
+    objectives: Annotated[tuple[Objective, ...], Field(max_length=2)] = ()
+    constraints: tuple[Constraint, ...] = ()
+    front: Front | None = None
+    solve: Solve = Solve()
+    cases: tuple[Case, ...] = ()
+    requirements: dict[str, AnyQuantity] = Field(default_factory=dict)
+    design: dict[Identifier, Values] = Field(default_factory=dict)
+
+    _base: Path = PrivateAttr(default=Path())
+
+    @model_validator(mode="wrap")
+    @classmethod
+    def _check_sections(cls, data: Any, handler: ModelWrapValidatorHandler[Self]) -> Self:
+        study = handler(data)
+        if isinstance(data, Mapping):
+            check_study(study, data)
+        return study
+
+    @property
+    def base(self) -> Path:
+        """Directory that paths of side files start from; no part of what makes studies equal."""
+        return self._base
+
+    def __eq__(self, other: object) -> bool:
+        """Whether all keys are equal, wherever the files stand."""
+        return isinstance(other, Study) and self.__dict__ == other.__dict__
+
+    def variable(self, name: str) -> Variable | None:
+        """The variable of this name, if there is one."""
+        return next((variable for variable in self.variables if variable.name == name), None)
+
+    def given(self, quantity: str) -> float | None:
+        """Value of a scalar quantity in the sections of the system; None where another one fixes it."""
+        section = self.controller if quantity in ("gain", "crossover", "kp", "ki", "kd") else self.mirror
+        value: float | None = getattr(section, quantity.removeprefix("mirror_"))
+        return value

@@ -1,0 +1,284 @@
+"""Rules of the study file that join several of its sections."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from typing import TYPE_CHECKING, Any
+
+from fosopt.errors import did_you_mean
+from fosopt.expressions import Expression, Reference, parse_expression
+from fosopt.study.schema_base import KeyPath, RuleError, unique
+from fosopt.study.schema_names import JITTER, METRICS, QUANTITIES, Metric
+from fosopt.units import Vector, exponents, parse_quantity, quote, show
+
+if TYPE_CHECKING:
+    from fosopt.study.schema import Study, Variable
+
+_EXCLUSIVE = {
+    "gain": ("crossover", "controller"),
+    "crossover": ("gain", "controller"),
+    "mirror_inertia": ("mirror_inertia_ratio", "mirror"),
+    "mirror_inertia_ratio": ("mirror_inertia", "mirror"),
+    "mirror_frequency": ("stiffness", "mirror"),
+}
+"""Quantity that is fixed by another one, and the section that says by which."""
+
+_MEMBERS = ("area", "batten_mass")
+
+
+def known_metrics(study: Study) -> dict[str, Metric]:
+    """The metrics this study has: jitter needs disturbances, step metrics need a step."""
+    known = {name: metric for name, metric in METRICS.items() if study.step or not name.startswith("step_")}
+    if not study.disturbances:
+        del known["jitter_total"]
+    return known | {f"jitter_{disturbance.name}": JITTER for disturbance in study.disturbances}
+
+
+def dimension_of(study: Study, name: str) -> str:
+    """Name of the dimension of a metric or variable; a metric wins over a variable of its name."""
+    metric = known_metrics(study).get(name)
+    if metric is not None:
+        return metric.dimension
+    return next(QUANTITIES[variable.quantity] for variable in study.variables if variable.name == name)
+
+
+def expression_dimension(study: Study, expression: Expression) -> Vector | None:
+    """Exponents of an expression's unit, or None where a plain number gives it any."""
+    return expression.dimension(lambda name: exponents(dimension_of(study, name)))
+
+
+def check_study(study: Study, data: Mapping[str, Any]) -> None:
+    """Refuse a study whose sections do not fit together; ``data`` is what they were made of."""
+    _check_ports(study)
+    _check_disturbances(study)
+    _check_variables(study)
+    _check_purpose(study)
+    for k, objective in enumerate(study.objectives):
+        _check_expression(study, objective.minimize, ("objectives", k, "minimize"))
+    for k, constraint in enumerate(study.constraints):
+        vector = _check_expression(study, constraint.metric, ("constraints", k, "metric"))
+        for key in ("lower", "upper"):
+            raw = data["constraints"][k]
+            value = raw.get(key) if isinstance(raw, Mapping) else getattr(raw, key)
+            if value is not None:
+                _check_unit(value, vector, "constraints", k, key)
+    for name in study.requirements:
+        at: KeyPath = ("requirements", name)
+        with _placed(*at, of_key=True):
+            reference = parse_expression(name).reference
+            if reference is None or reference[0] not in known_metrics(study):
+                raise RuleError(f"{quote(name)} is no metric; {did_you_mean(name, known_metrics(study))}")
+            _check_reference(study, reference)
+        _check_unit(data["requirements"][name], exponents(dimension_of(study, reference[0])), *at)
+    _check_design(study, data)
+    _check_cases(study)
+
+
+@contextmanager
+def _placed(*at: str | int, of_key: bool = False) -> Iterator[None]:
+    """Say where an error of a value stands."""
+    try:
+        yield
+    except RuleError as error:
+        raise RuleError(str(error), *(error.at or at), of_key=error.of_key or of_key) from None
+    except ValueError as error:
+        raise RuleError(str(error), *at, of_key=of_key) from None
+
+
+def _check_unit(value: object, dimension: str | Vector | None, *at: str | int) -> None:
+    with _placed(*at):
+        parse_quantity(value, dimension)
+
+
+def _check_ports(study: Study) -> None:
+    ports = study.structure.ports
+    if study.mirror.port not in ports:
+        raise RuleError(
+            f"unknown port '{study.mirror.port}'; {did_you_mean(study.mirror.port, ports)}", "mirror", "port"
+        )
+    if study.structure.type == "truss":
+        component = study.structure.ports[study.mirror.port][1]
+        if not component.startswith("r"):
+            raise RuleError(
+                f"the mirror turns, but its port moves along '{component}'; use rx, ry or rz of a batten",
+                *("structure", "ports", study.mirror.port, 1),
+            )
+    if "hub" not in ports:
+        needed: list[KeyPath] = [
+            ("disturbances", k, "at") for k, d in enumerate(study.disturbances) if d.at == "hub_torque"
+        ]
+        if study.mirror.inertia_ratio is not None:
+            needed.insert(0, ("mirror", "inertia_ratio"))
+        if study.hub.type != "free":
+            needed.insert(0, ("hub", "type"))
+        if needed:
+            raise RuleError(
+                "this needs the port 'hub'; add 'hub: [batten, rz]' to structure.ports", *needed[0]
+            )
+
+
+def _check_disturbances(study: Study) -> None:
+    unique(((d.name, ("disturbances", k, "name")) for k, d in enumerate(study.disturbances)), "disturbance")
+    for k, disturbance in enumerate(study.disturbances):
+        if disturbance.name == "total":
+            raise RuleError(
+                "'total' is taken by jitter_total; choose another name", "disturbances", k, "name"
+            )
+
+
+def _check_variables(study: Study) -> None:
+    unique(((v.name, ("variables", k, "name")) for k, v in enumerate(study.variables)), "variable")
+    scalars = [
+        (v.quantity, ("variables", k, "quantity"))
+        for k, v in enumerate(study.variables)
+        if v.quantity not in _MEMBERS
+    ]
+    unique(scalars, "quantity")
+    for k, variable in enumerate(study.variables):
+        at: KeyPath = ("variables", k)
+        if variable.name != variable.quantity and variable.name in known_metrics(study):
+            raise RuleError(f"'{variable.name}' is the name of a metric; choose another name", *at, "name")
+        if variable.quantity in _MEMBERS:
+            _check_members(study, variable, at)
+            continue
+        default = study.given(variable.quantity)
+        if default is None:
+            other, section = _EXCLUSIVE[variable.quantity]
+            raise RuleError(
+                f"'{variable.quantity}' cannot vary while the {section} is given by its "
+                f"{other.removeprefix('mirror_')}; give one in place of the other in '{section}'",
+                *(*at, "quantity"),
+            )
+        if (
+            variable.start is None
+            and variable.name not in study.design
+            and not variable.lower <= default <= variable.upper
+        ):
+            shown = show(default, variable.dimension)
+            raise RuleError(
+                f"the start {shown} of the {variable.quantity} lies outside the bounds; add a 'start'", *at
+            )
+
+
+def _check_members(study: Study, variable: Variable, at: KeyPath) -> None:
+    structure = study.structure
+    if variable.quantity == "batten_mass" and structure.type == "truss" and not structure.battens:
+        raise RuleError("the structure has no battens; remove the variable or add battens", *at, "quantity")
+    if variable.quantity != "area":
+        return
+    for k, kind in enumerate(variable.kinds or ()):
+        if kind not in structure.kinds:
+            raise RuleError(f"unknown kind '{kind}'; {did_you_mean(kind, structure.kinds)}", *at, "kinds", k)
+    if variable.group_by == "bay" and structure.type == "truss":
+        without = [k for k, bar in enumerate(structure.bars) if bar.bay is None]
+        if without:
+            raise RuleError(
+                f"grouping by bay, but bar {without[0]} has none; add 'bay' to each bar or use 'groups'",
+                *(*at, "group_by"),
+            )
+
+
+def _check_purpose(study: Study) -> None:
+    """Objectives, front and cases fit each other and the kind of study."""
+    if study.kind == "analysis":
+        for key in ("front", "cases"):
+            if getattr(study, key):
+                raise RuleError(
+                    f"an analysis has no '{key}'; remove it or write 'kind: codesign'", key, of_key=True
+                )
+        return
+    for key in ("variables", "objectives"):
+        if not getattr(study, key):
+            raise RuleError(f"a co-design needs '{key}'; add at least one or write 'kind: analysis'", key)
+    two = len(study.objectives) == 2
+    if study.front and not two:
+        raise RuleError("a front needs two objectives; add one or remove 'front'", "front", of_key=True)
+    if two and not study.front:
+        raise RuleError(
+            "two objectives need 'front'; add 'front: {points: 12}' or remove one", "objectives", 1
+        )
+    if study.solve.compare and not study.front:
+        raise RuleError(
+            "strategies are compared along a front; add 'front' or remove 'compare'", "solve", "compare"
+        )
+    if study.cases and two:
+        raise RuleError(
+            "cases need a single objective; remove one objective or 'cases'", "cases", of_key=True
+        )
+
+
+def _check_expression(study: Study, expression: Expression, at: KeyPath) -> Vector | None:
+    with _placed(*at):
+        for reference in sorted(
+            expression.references, key=lambda each: (expression.text.find(each[0]), each[1] or 0)
+        ):
+            _check_reference(study, reference)
+        return expression_dimension(study, expression)
+
+
+def _check_reference(study: Study, reference: Reference) -> None:
+    name, index = reference
+    metrics = known_metrics(study)
+    variable = study.variable(name)
+    if name in metrics:
+        indexed, most, what = metrics[name].indexed, None, "mode"
+    elif variable is not None:
+        groups = getattr(variable, "groups", None)
+        indexed, most, what = not variable.is_scalar, len(groups) if groups else None, "group"
+    elif name == "jitter_total":
+        raise RuleError("'jitter_total' needs disturbances; add the section 'disturbances'")
+    elif name in METRICS:
+        raise RuleError(f"'{name}' needs a step command; add the section 'step'")
+    else:
+        known = {*metrics, *(each.name for each in study.variables)}
+        raise RuleError(f"unknown metric '{name}'; {did_you_mean(name, known)}")
+    if indexed and index is None:
+        raise RuleError(f"'{name}' has one value per {what}; write {name}[1] for the first")
+    if not indexed and index is not None:
+        raise RuleError(f"'{name}' is a single value; write it without [{index}]")
+    if index is not None and most is not None and index > most:
+        raise RuleError(f"'{name}[{index}]' goes beyond the {most} groups; use at most {most}")
+
+
+def _check_design(study: Study, data: Mapping[str, Any]) -> None:
+    for name, value in study.design.items():
+        variable = study.variable(name)
+        if variable is None:
+            known = (
+                did_you_mean(name, (each.name for each in study.variables))
+                if study.variables
+                else "there are none"
+            )
+            raise RuleError(f"unknown variable '{name}'; {known}", "design", name, of_key=True)
+        raw = data["design"][name]
+        several = isinstance(raw, list | tuple)
+        items = [((k,), each) for k, each in enumerate(raw)] if several else [((), raw)]
+        if variable.is_scalar and len(items) > 1:
+            raise RuleError(
+                f"'{name}' is a single value, but {len(items)} are given; give one", "design", name
+            )
+        numbers = value if isinstance(value, tuple) else (value,)
+        for (k, each), number in zip(items, numbers, strict=True):
+            _check_unit(each, variable.dimension, "design", name, *k)
+            inside = variable.lower <= number <= variable.upper
+            if study.kind == "codesign" and not inside:
+                raise RuleError(
+                    f"{quote(each)} lies outside the variable's bounds; change it or the bounds",
+                    "design",
+                    name,
+                    *k,
+                )
+
+
+def _check_cases(study: Study) -> None:
+    unique(((case.name, ("cases", k, "name")) for k, case in enumerate(study.cases)), "case")
+    names = [variable.name for variable in study.variables]
+    for k, case in enumerate(study.cases):
+        for i, name in enumerate(case.free if isinstance(case.free, tuple) else ()):
+            if name not in names:
+                raise RuleError(
+                    f"unknown variable '{name}'; {did_you_mean(name, names)}", "cases", k, "free", i
+                )
+        if isinstance(case.free, tuple):
+            unique(((name, ("cases", k, "free", i)) for i, name in enumerate(case.free)), "variable")

@@ -1,0 +1,147 @@
+"""Formulas as CasADi functions: values, exact derivatives and affine data, all derived from the one text."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cache
+from typing import Any
+
+import casadi as ca
+import numpy as np
+from numpy.typing import NDArray
+
+from fosopt.actuators import Mirror
+from fosopt.control import NUMERATORS, PID, Loop, Receptances, characteristic, closed_loop_response, loop_transfer
+from fosopt.errors import ModelError, did_you_mean
+from fosopt.ops import ComplexPair
+from fosopt.structure import Structure, mass_matrix, stiffness_matrix, structural_mass, structure_inertia
+
+Array = NDArray[np.float64]
+ComplexArray = NDArray[np.complex128]
+
+# Order of the parameters of a loop in every vector below; units in `actuators.Mirror` and `control.PID`.
+LOOP_PARAMETERS = (
+    "mirror_inertia",
+    "mirror_frequency",
+    "mirror_damping_ratio",
+    "gain",
+    "kp",
+    "ki",
+    "kd",
+    "rolloff_time",
+)
+
+
+def loop_of(parameters: Any) -> Loop:
+    """A loop from its (8,) parameters in the order of `LOOP_PARAMETERS`."""
+    j, w, z, gain, kp, ki, kd, time = (parameters[i] for i in range(len(LOOP_PARAMETERS)))
+    return Loop(Mirror(j, w, z), PID(gain, kp, ki, kd, time))
+
+
+def loop_parameters(loop: Loop) -> Array:
+    """(8,) Parameters of a numerical loop in the order of `LOOP_PARAMETERS`."""
+    m, c = loop.mirror, loop.controller
+    return np.array(
+        [m.inertia, m.natural_frequency, m.damping_ratio, c.gain, c.kp, c.ki, c.kd, c.rolloff_time], dtype=float
+    )
+
+
+def _formula(response: str) -> Callable[[Loop, Any, Receptances], Any]:
+    if response in NUMERATORS:
+        return lambda loop, s, g: closed_loop_response(response, loop, s, g)
+    others = {"characteristic": characteristic, "loop_transfer": loop_transfer}
+    if response not in others:
+        raise ModelError(f"transfer function '{response}' does not exist; {did_you_mean(response, [*NUMERATORS, *others])}")
+    return others[response]
+
+
+@cache
+def response_function(response: str) -> ca.Function:
+    """A transfer function of the loop as a CasADi function.
+
+    Inputs are the (8,) `LOOP_PARAMETERS` and (6,) real and imaginary parts of s, g_hh and g_h0; the output is
+    (2,), real and imaginary part. `response` is a name in `control.NUMERATORS`, ``characteristic`` or
+    ``loop_transfer``.
+
+    Raises
+    ------
+    ModelError
+        For an unknown name.
+    """
+    p = ca.SX.sym("p", len(LOOP_PARAMETERS))
+    z = ca.SX.sym("z", 6)
+    g = Receptances(ComplexPair(z[2], z[3]), ComplexPair(z[4], z[5]))
+    value = _formula(response)(loop_of(p), ComplexPair(z[0], z[1]), g)
+    return ca.Function(
+        response,
+        [p, z],
+        [ca.vertcat(value.re, value.im)],
+        ["parameters", "point"],
+        ["value"],
+    )
+
+
+@cache
+def _partials(response: str) -> ca.Function:
+    f = response_function(response)
+    p, z = ca.SX.sym("p", f.size1_in(0)), ca.SX.sym("z", 6)
+    value = f(p, z)
+    # The response is analytic in g, so its derivative is that along the real axis.
+    by_g = ca.jacobian(value, z)[:, [2, 4]]
+    everything = ca.horzcat(by_g, ca.jacobian(value, p))
+    return ca.Function(f"{response}_partials", [p, z], [ca.vec(everything)])
+
+
+@dataclass(frozen=True)
+class ResponsePartials:
+    """Partial derivatives of a transfer function at (m,) points.
+
+    Attributes
+    ----------
+    direct, cross
+        (m,) for g_hh and g_h0.
+    parameters
+        (8, m) for the `LOOP_PARAMETERS`.
+    """
+
+    direct: ComplexArray
+    cross: ComplexArray
+    parameters: ComplexArray
+
+
+def response_partials(response: str, loop: Loop, s: ComplexArray, g: Receptances) -> ResponsePartials:
+    """Partial derivatives of a transfer function of the loop at (m,) points, exact."""
+    point = np.stack([s.real, s.imag, g.direct.real, g.direct.imag, g.cross.real, g.cross.imag])
+    flat = _partials(response)(loop_parameters(loop), point).full()
+    pairs = flat.reshape(-1, 2, s.size)
+    both = pairs[:, 0] + 1j * pairs[:, 1]
+    return ResponsePartials(both[0], both[1], both[2:])
+
+
+@dataclass(frozen=True)
+class StructureFunctions:
+    """Mass, stiffness and inertia of a structure as CasADi functions of (area, batten_mass, mirror_mass)."""
+
+    stiffness_matrix: ca.Function
+    mass_matrix: ca.Function
+    structural_mass: ca.Function
+    structure_inertia: ca.Function
+
+
+def structure_functions(structure: Structure) -> StructureFunctions:
+    """CasADi functions of a structure; K and M are affine, so their Jacobians are constant."""
+    area = ca.SX.sym("area", len(structure.truss.bars))
+    batten_mass = ca.SX.sym("batten_mass", len(structure.truss.battens))
+    mirror_mass = ca.SX.sym("mirror_mass")
+    inputs, names = [area, batten_mass, mirror_mass], ["area", "batten_mass", "mirror_mass"]
+
+    def function(name: str, expression: Any) -> ca.Function:
+        return ca.Function(name, inputs, [expression], names, [name])
+
+    return StructureFunctions(
+        function("stiffness_matrix", stiffness_matrix(structure, area)),
+        function("mass_matrix", mass_matrix(structure, area, batten_mass, mirror_mass)),
+        function("structural_mass", structural_mass(structure, area, batten_mass)),
+        function("structure_inertia", structure_inertia(structure, area, batten_mass)),
+    )
