@@ -34,7 +34,9 @@ class Mirror:
         for name in ("inertia", "natural_frequency", "damping_ratio"):
             value = getattr(self, name)
             if not is_symbolic(value) and not value >= 0:
-                raise ModelError(f"mirror: {name} {value} is negative or not a number; give a value above zero")
+                raise ModelError(
+                    f"mirror: {name} {value} is negative or not a number; give a value above zero"
+                )
 
     @property
     def stiffness(self) -> Any:

@@ -138,10 +138,9 @@ def parse_expression(text: str) -> Expression:
             warnings.simplefilter("ignore")  # the parser warns of text that is refused below
             body = ast.parse(stripped, mode="eval").body
     except SyntaxError as error:
-        at = f"column {error.offset}: " if error.offset else ""
-        raise ExpressionError(
-            f"{at}{quote(text)} is no arithmetic; check operators and parentheses"
-        ) from None
+        column = error.offset or len(stripped) + 1
+        message = f"column {column}: {quote(text)} is no arithmetic; check operators and parentheses"
+        raise ExpressionError(message) from None
     except (ValueError, MemoryError, RecursionError):
         raise ExpressionError(f"{quote(text)} is nested too deeply; simplify it") from None
     tree = _Reader(stripped).node(body, 0)

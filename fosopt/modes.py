@@ -47,7 +47,9 @@ class Damping:
     def __post_init__(self) -> None:
         for value in self.ratio:
             if not (np.isfinite(value) and value >= 0):
-                raise ModelError(f"damping ratio {value} is negative or not finite; give values of zero or above")
+                raise ModelError(
+                    f"damping ratio {value} is negative or not finite; give values of zero or above"
+                )
         if not self.ratio:
             raise ModelError("damping: no ratio given; give at least one")
         if self.frequency is not None and (
@@ -123,7 +125,9 @@ class ModalSet:
         for what in ("natural_frequency", "damping_ratio"):
             values = getattr(self, what)
             if not np.all(np.isfinite(values)) or np.any(values < 0):
-                raise ModelError(f"modal set: {what} holds {values.min()}; every value must be finite and not negative")
+                raise ModelError(
+                    f"modal set: {what} holds {values.min()}; every value must be finite and not negative"
+                )
         n = self.natural_frequency.size
         if self.mode_shape.shape != (n, len(self.ports)):
             raise ModelError(
@@ -204,9 +208,13 @@ class ModalFrame:
         """
         rigid = self.eigenvalue == 0.0
         if hub.type == "fixed" and self.n_rigid:
-            raise ModelError("hub: type 'fixed', but the supports let the structure rotate; use 'free' or 'held', or hold the hub")
+            raise ModelError(
+                "hub: type 'fixed', but the supports let the structure rotate; use 'free' or 'held', or hold the hub"
+            )
         if hub.type == "held" and self.n_rigid != 1:
-            raise ModelError(f"hub: type 'held' needs one rigid-body mode, the supports leave {self.n_rigid}; use 'fixed'")
+            raise ModelError(
+                f"hub: type 'held' needs one rigid-body mode, the supports leave {self.n_rigid}; use 'fixed'"
+            )
         frequency = np.sqrt(self.eigenvalue)
         ratio = np.zeros_like(frequency)
         ratio[~rigid] = damping.of(frequency[~rigid])
@@ -240,7 +248,9 @@ class ModalFrame:
         return np.einsum("ek,ek->e", b @ stiffness, b), np.einsum("ek,ek->e", d @ mass, d)
 
 
-def modal_frame(structure: Structure, area: Array, batten_mass: Array, mirror_mass: float, rotation: str) -> ModalFrame:
+def modal_frame(
+    structure: Structure, area: Array, batten_mass: Array, mirror_mass: float, rotation: str
+) -> ModalFrame:
     """Solve K φ = ω² M φ for all modes at one design.    [Barker1991] Eq. (2.31)
 
     Rigid-body eigenvalues are set to zero exactly. In a repeated eigenspace the basis is turned so that one
@@ -258,7 +268,9 @@ def modal_frame(structure: Structure, area: Array, batten_mass: Array, mirror_ma
     try:
         eigenvalue, shapes = linalg.eigh(k, m, driver="gvd")
     except (linalg.LinAlgError, ValueError) as error:
-        raise ModelError(f"modes cannot be computed: {error}; every degree of freedom needs mass above zero") from error
+        raise ModelError(
+            f"modes cannot be computed: {error}; every degree of freedom needs mass above zero"
+        ) from error
     rigid = eigenvalue <= _RIGID * eigenvalue[-1]
     if rigid.any():
         _refuse_mechanism(structure, shapes[:, rigid])
@@ -398,7 +410,9 @@ def reduced_matrices(
         If numbers differ, a name is unknown, or φ is singular.
     """
     if len(dofs) != len(keep):
-        raise ModelError(f"modal truncation: {len(dofs)} degrees of freedom but {len(keep)} modes; choose as many of each")
+        raise ModelError(
+            f"modal truncation: {len(dofs)} degrees of freedom but {len(keep)} modes; choose as many of each"
+        )
     names = list(frame.structure.dofs)
     for dof in dofs:
         if dof not in names:

@@ -25,6 +25,7 @@ __all__ = [
     "linear",
     "log",
     "sqrt",
+    "stack",
     "total",
 ]
 
@@ -69,6 +70,13 @@ def total(values: Any) -> Any:
     return ca.sum(values) if is_symbolic(values) else np.sum(values)
 
 
+def stack(*parts: Any) -> Any:
+    """Vectors and scalars one after another in one vector."""
+    if any(is_symbolic(part) for part in parts):
+        return ca.vertcat(*parts)
+    return np.concatenate([np.atleast_1d(np.asarray(part, dtype=float)) for part in parts])
+
+
 def linear(matrix: sparse.csr_array, vector: Any) -> Any:
     """Product of a constant sparse matrix and a vector."""
     return _constant(matrix) @ vector if is_symbolic(vector) else matrix @ vector
@@ -88,7 +96,9 @@ def congruence(rows: sparse.csr_array, weights: Any) -> Any:
     if is_symbolic(weights):
         constant = _constant(rows)
         return constant.T @ ca.diag(weights) @ constant
-    return (rows.T @ sparse.diags_array(np.asarray(weights, dtype=float)) @ rows).toarray()
+    weighted = rows.copy()
+    weighted.data = rows.data * np.repeat(np.asarray(weights, dtype=float), np.diff(rows.indptr))
+    return (rows.T @ weighted).toarray()
 
 
 def _constant(matrix: sparse.csr_array) -> ca.DM:

@@ -137,7 +137,9 @@ def _roots(
     top = (poles[-1] if poles.size else 0.0) + 2 * (wm2 + k * (shape2.sum())) + 1.0
     low, high = np.concatenate([[0.0], poles]), np.concatenate([poles, [top]])
 
-    def rest_and_poles(base: Array, distance: Array, own: NDArray[np.intp]) -> tuple[Array, Array, Array, Array]:
+    def rest_and_poles(
+        base: Array, distance: Array, own: NDArray[np.intp]
+    ) -> tuple[Array, Array, Array, Array]:
         """F without its own pole term, its slope, and the own term's numerator λ k φ² with g's slope."""
         gap = (poles[None, :] - base[:, None]) - distance[:, None]
         rows = np.flatnonzero(own >= 0)
@@ -161,8 +163,9 @@ def _roots(
     upper[-1] = False
     own = np.where(upper, np.arange(n), np.arange(n) - 1)
     base = np.where(upper, high, low)
-    inner, outer = np.zeros(n), np.where(upper, -1.0, 1.0) * np.where(
-        np.arange(n) == n - 1, high - low, 0.5 * (high - low)
+    inner, outer = (
+        np.zeros(n),
+        np.where(upper, -1.0, 1.0) * np.where(np.arange(n) == n - 1, high - low, 0.5 * (high - low)),
     )
     # h = distance·rest + λ k φ² has the root of F without its pole; it is rest itself where there is no pole.
     distance = np.where(own >= 0, 0.0, 0.5 * outer)
@@ -187,7 +190,9 @@ def _roots(
             break
     else:
         if np.any(step > 1e-12 * np.abs(distance)):
-            raise SolverError("coupled modes: a root of the secular equation does not settle; check the modal set")
+            raise SolverError(
+                "coupled modes: a root of the secular equation does not settle; check the modal set"
+            )
     gap = (poles[None, :] - base[:, None]) - distance[:, None]
     g = (weight / gap).sum(axis=1) - shape2[uncoupled == 0].sum() / (base + distance)
     g_slope = (weight / gap**2).sum(axis=1) + shape2[uncoupled == 0].sum() / (base + distance) ** 2

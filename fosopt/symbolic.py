@@ -12,7 +12,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fosopt.actuators import Mirror
-from fosopt.control import NUMERATORS, PID, Loop, Receptances, characteristic, closed_loop_response, loop_transfer
+from fosopt.control import (
+    NUMERATORS,
+    PID,
+    Loop,
+    Receptances,
+    characteristic,
+    closed_loop_response,
+    loop_transfer,
+)
 from fosopt.errors import ModelError, did_you_mean
 from fosopt.ops import ComplexPair
 from fosopt.structure import Structure, mass_matrix, stiffness_matrix, structural_mass, structure_inertia
@@ -43,7 +51,8 @@ def loop_parameters(loop: Loop) -> Array:
     """(8,) Parameters of a numerical loop in the order of `LOOP_PARAMETERS`."""
     m, c = loop.mirror, loop.controller
     return np.array(
-        [m.inertia, m.natural_frequency, m.damping_ratio, c.gain, c.kp, c.ki, c.kd, c.rolloff_time], dtype=float
+        [m.inertia, m.natural_frequency, m.damping_ratio, c.gain, c.kp, c.ki, c.kd, c.rolloff_time],
+        dtype=float,
     )
 
 
@@ -52,7 +61,9 @@ def _formula(response: str) -> Callable[[Loop, Any, Receptances], Any]:
         return lambda loop, s, g: closed_loop_response(response, loop, s, g)
     others = {"characteristic": characteristic, "loop_transfer": loop_transfer}
     if response not in others:
-        raise ModelError(f"transfer function '{response}' does not exist; {did_you_mean(response, [*NUMERATORS, *others])}")
+        raise ModelError(
+            f"transfer function '{response}' does not exist; {did_you_mean(response, [*NUMERATORS, *others])}"
+        )
     return others[response]
 
 
@@ -117,6 +128,108 @@ def response_partials(response: str, loop: Loop, s: ComplexArray, g: Receptances
     pairs = flat.reshape(-1, 2, s.size)
     both = pairs[:, 0] + 1j * pairs[:, 1]
     return ResponsePartials(both[0], both[1], both[2:])
+
+
+class Differentiable:
+    """A vector formula of one vector with its exact Jacobian, for numbers.
+
+    Parameters
+    ----------
+    formula
+        Takes an (n,) vector, numbers or symbols, and gives an (m,) vector.
+    size
+        n.
+    """
+
+    def __init__(self, formula: Callable[[Any], Any], size: int) -> None:
+        x = ca.SX.sym("x", size)
+        value = ca.densify(ca.SX(formula(x)))
+        self._function = ca.Function("f", [x], [value, ca.densify(ca.jacobian(value, x))])
+
+    def __call__(self, x: Array) -> tuple[Array, Array]:
+        """(m,) values and (m, n) Jacobian at (n,) `x`."""
+        value, jacobian = self._function(x)
+        return value.full().ravel(), jacobian.full()
+
+
+class OracleFunction(ca.Callback):  # type: ignore[misc]
+    """A vector function computed outside CasADi, with its exact Jacobian, as a CasADi function.
+
+    Keep a reference to it for as long as a function made from it is in use.
+
+    Parameters
+    ----------
+    name
+        Name of the function.
+    evaluate
+        Takes an (n,) vector and gives (m,) values and the (m, n) Jacobian.
+    size, count
+        n and m.
+    """
+
+    def __init__(
+        self, name: str, evaluate: Callable[[Array], tuple[Array, Array]], size: int, count: int
+    ) -> None:
+        ca.Callback.__init__(self)
+        self._evaluate, self._size, self._count = evaluate, size, count
+        self._parts: list[ca.Callback] = []
+        self.construct(name, {})
+
+    def get_n_in(self) -> int:
+        """One input, the vector of variables."""
+        return 1
+
+    def get_n_out(self) -> int:
+        """One output, the vector of values."""
+        return 1
+
+    def get_sparsity_in(self, index: int) -> ca.Sparsity:
+        """Dense (n,)."""
+        return ca.Sparsity.dense(self._size)
+
+    def get_sparsity_out(self, index: int) -> ca.Sparsity:
+        """Dense (m,)."""
+        return ca.Sparsity.dense(self._count)
+
+    def eval(self, arguments: list[ca.DM]) -> list[Array]:
+        """Values at one point."""
+        return [self._evaluate(arguments[0].full().ravel())[0]]
+
+    def has_jacobian(self) -> bool:
+        """The Jacobian is exact."""
+        return True
+
+    def get_jacobian(
+        self, name: str, inputs: list[str], outputs: list[str], options: dict[str, Any]
+    ) -> ca.Function:
+        """The Jacobian, asked from the same oracle."""
+        jacobian = _OracleJacobian(name, self._evaluate, self._size, self._count)
+        self._parts.append(jacobian)
+        return jacobian
+
+
+class _OracleJacobian(ca.Callback):  # type: ignore[misc]
+    def __init__(
+        self, name: str, evaluate: Callable[[Array], tuple[Array, Array]], size: int, count: int
+    ) -> None:
+        ca.Callback.__init__(self)
+        self._evaluate, self._size, self._count = evaluate, size, count
+        self.construct(name, {})
+
+    def get_n_in(self) -> int:
+        return 2
+
+    def get_n_out(self) -> int:
+        return 1
+
+    def get_sparsity_in(self, index: int) -> ca.Sparsity:
+        return ca.Sparsity.dense(self._size if index == 0 else self._count)
+
+    def get_sparsity_out(self, index: int) -> ca.Sparsity:
+        return ca.Sparsity.dense(self._count, self._size)
+
+    def eval(self, arguments: list[ca.DM]) -> list[Array]:
+        return [self._evaluate(arguments[0].full().ravel())[1]]
 
 
 @dataclass(frozen=True)

@@ -240,7 +240,7 @@ def noun(dimension: str) -> str:
 def quote(value: object) -> str:
     """A value as a message shows it: short, on one line."""
     text = "null" if value is None else str(value).lower() if isinstance(value, bool) else str(value)
-    text = " ".join(text.split())
+    text = "".join(c if c.isprintable() else "?" for c in " ".join(text.split()))
     text = text if len(text) <= 40 else text[:37] + "..."
     return f"'{text}'" if isinstance(value, str) else text
 

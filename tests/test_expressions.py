@@ -96,7 +96,7 @@ def test_an_expression_knows_its_text_and_references():
         ("mass\n+ 1", "column 5"),
         ("mäss", "column 2"),
         ("m\x00", "column 2"),
-        ("(" * 200 + "m" + ")" * 200, "."),
+        ("(" * 240 + "m", "column"),
         ("-" * 400 + "m", "nested more than 30"),
         ("m" * 501, "501 characters"),
         ("sqrt(" * 40 + "m" + ")" * 40, "nested more than 30"),
@@ -109,7 +109,9 @@ def test_what_is_no_arithmetic_is_refused(text, words):
     assert "\n" not in str(caught.value)
 
 
-@pytest.mark.parametrize("text", ["1 / (mass - 3)", "1e300 ** 2 * mass", "(mass - jitter) ** 0.5", "(mass-3) ** -1"])
+@pytest.mark.parametrize(
+    "text", ["1 / (mass - 3)", "1e300 ** 2 * mass", "(mass - jitter) ** 0.5", "(mass-3) ** -1"]
+)
 def test_plain_numbers_without_a_value_are_an_error(text):
     with pytest.raises(ExpressionError):
         parse_expression(text).evaluate(value_of)

@@ -107,7 +107,7 @@ def detail(mass: float, jitter: dict[str, float], seed: int) -> dict[str, object
         "bode": {
             "frequency_hz": frequency.tolist(),
             "loop_magnitude": abs(loop).tolist(),
-            "loop_phase_deg": np.degrees(np.unwrap(np.angle(loop))).tolist(),
+            "loop_phase_deg": (np.degrees(np.unwrap(np.angle(loop))) - 360).tolist(),
             "sensitivity": abs(sensitivity).tolist(),
             "complementary_sensitivity": abs(1 - sensitivity).tolist(),
         },
@@ -215,6 +215,7 @@ def fake_run() -> dict[str, object]:
         "verified": False,
         "reason": "closed-loop pole at 18.2 Hz grows by 0.10 /s; lower the crossover or the inertia ratio",
     }
+    points[11]["metrics"] = {**points[11]["metrics"], "spectral_abscissa": 0.1}  # type: ignore[dict-item]
     unstable = points[11]["detail"]
     assert isinstance(unstable, dict)
     unstable["poles"] = [*unstable["poles"], [0.1, 18.2 * HERTZ], [0.1, -18.2 * HERTZ]]
@@ -380,13 +381,18 @@ def test_an_unstable_or_failed_point_brings_no_jitter_and_no_step_into_the_file(
 ) -> None:
     false = point(0, 8.0)
     false["constraints"] = [
-        {"name": "2*jitter_total", "value": 3e-5, "upper": 1e-5, "slack": -2e-5, "statement": "1 kg saves 3 µrad"}
+        {"name": "2*jitter_total", "value": 3e-5, "upper": 1e-5, "slack": -2e-5, "statement": None},
+        {"name": "structural_mass", "value": 8.0, "upper": 8.0, "slack": 0.0, "statement": "1 kg saves 3 µrad"},
     ]
     false |= copy.deepcopy(change)
     (shown,) = written({"points": [false]}, tmp_path).data["points"]  # type: ignore[misc, attr-defined]
-    assert {value for name, value in shown["metrics"].items() if "jitter" in name or "step" in name} <= {None}
+    gone = re.compile("jitter|step|margin")
+    assert {value for name, value in shown["metrics"].items() if gone.search(name)} == {None}
+    assert all(value is not None for name, value in shown["metrics"].items() if not gone.search(name))
     assert shown["detail"]["jitter"] is shown["detail"]["cumulative"] is shown["detail"]["step"] is None
-    assert shown["constraints"][0]["value"] is shown["constraints"][0]["statement"] is None
+    assert shown["constraints"][0]["value"] is shown["constraints"][0]["slack"] is None
+    assert shown["constraints"][1]["value"] == 8.0 and shown["constraints"][1]["statement"] is None
+    assert {objective for _, objective, _ in shown["history"]} == {None}
     assert shown["detail"]["bode"] and shown["detail"]["truss"]
     assert false["detail"]["jitter"]  # type: ignore[index]
 

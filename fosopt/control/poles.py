@@ -151,14 +151,18 @@ def closed_loop_poles(loop: Loop, modes: ModalSet, mirror_port: str) -> ClosedLo
 def _controller_poles(loop: Loop) -> ComplexArray:
     """Poles of the loop on a rigid support, the guess for those that belong to mirror and controller."""
     mirror, pid = loop.mirror, loop.controller
-    plant = np.array([mirror.inertia, mirror.damping, mirror.stiffness], dtype=float)
-    integrator = np.array([1.0, 0.0]) if pid.ki else np.array([1.0])
-    low_pass = np.array([pid.rolloff_time, 1.0]) if pid.rolloff_time and pid.kd else np.array([1.0])
-    terms = np.polymul(np.polymul([pid.kp], integrator), low_pass)
-    terms = np.polyadd(terms, np.polymul([pid.kd, 0.0], integrator))
-    if pid.ki:
-        terms = np.polyadd(terms, np.polymul([pid.ki], low_pass))
-    return np.roots(np.polyadd(np.polymul(plant, np.polymul(integrator, low_pass)), pid.gain * terms)).astype(complex)
+    lag = pid.rolloff_time if pid.kd else 0.0
+    # (J s² + c s + k) s (1 + T s) + gain [(k_p s + k_i)(1 + T s) + k_d s²]
+    coefficients = np.array(
+        [
+            mirror.inertia * lag,
+            mirror.inertia + mirror.damping * lag,
+            mirror.damping + mirror.stiffness * lag + pid.gain * (pid.kd + pid.kp * lag),
+            mirror.stiffness + pid.gain * (pid.kp + pid.ki * lag),
+            pid.gain * pid.ki,
+        ]
+    )
+    return np.roots(coefficients[int(lag == 0) : 4 + int(pid.ki != 0)]).astype(complex)
 
 
 def _start(loop: Loop, open_loop: OpenLoopPoles) -> tuple[ComplexArray, ComplexArray, NDArray[np.intp]]:
@@ -171,7 +175,12 @@ def _start(loop: Loop, open_loop: OpenLoopPoles) -> tuple[ComplexArray, ComplexA
     structural = np.concatenate([open_loop.first[pair], open_loop.first[real], open_loop.second[real]])
     base = np.concatenate([structural, upper, single])
     multiplicity = np.concatenate(
-        [np.full(pair.sum(), 2), np.ones(2 * real.sum(), int), np.full(upper.size, 2), np.ones(single.size, int)]
+        [
+            np.full(pair.sum(), 2),
+            np.ones(2 * real.sum(), int),
+            np.full(upper.size, 2),
+            np.ones(single.size, int),
+        ]
     )
     # First-order shift of a structural pole: Δ without its own mode, which is singular there, over the rest.
     own = np.concatenate([np.flatnonzero(pair), np.flatnonzero(real), np.flatnonzero(real)])
@@ -236,7 +245,9 @@ def _complete(loop: Loop, open_loop: OpenLoopPoles, poles: ClosedLoopPoles) -> b
     value, weight = poles.value, poles.multiplicity
     if np.any(value[weight == 2].imag <= 0):
         return False
-    modal = -(open_loop.first + open_loop.second).real.sum() + mirror.damping * (open_loop.mirror_shape**2).sum()
+    modal = (
+        -(open_loop.first + open_loop.second).real.sum() + mirror.damping * (open_loop.mirror_shape**2).sum()
+    )
     modal += mirror.damping / mirror.inertia
     low_pass = pid.rolloff_time > 0 and pid.kd != 0
     trace = modal + (1 / pid.rolloff_time if low_pass else pid.gain * pid.kd / mirror.inertia)

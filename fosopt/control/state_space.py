@@ -69,7 +69,12 @@ def plant_state_space(loop: Loop, modes: ModalSet, mirror_port: str) -> StateSpa
     c = np.zeros((2, 2 * n + 2))
     c[0, theta] = c[1, rate] = 1.0
     return StateSpace(
-        a, b, c, np.zeros((2, 3)), ("control_torque", "mirror_torque", "hub_torque"), ("mirror_angle", "mirror_rate")
+        a,
+        b,
+        c,
+        np.zeros((2, 3)),
+        ("control_torque", "mirror_torque", "hub_torque"),
+        ("mirror_angle", "mirror_rate"),
     )
 
 

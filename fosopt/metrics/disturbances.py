@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from math import inf, pi, sqrt
 
 import numpy as np
@@ -43,9 +44,11 @@ class ShapingFilter:
                 )
         unstable = [p for p in self.poles if p.real >= 0]
         if unstable:
-            raise ModelError(f"shaping filter: pole at {unstable[0]:.6g} rad/s does not decay; all poles need negative real parts")
+            raise ModelError(
+                f"shaping filter: pole at {unstable[0]:.6g} rad/s does not decay; all poles need negative real parts"
+            )
 
-    @property
+    @cached_property
     def poles(self) -> ComplexArray:
         """(n,) Poles [rad/s]."""
         return np.roots(self.denominator).astype(complex)
@@ -60,7 +63,7 @@ class ShapingFilter:
         """Number of differentiations: trailing zero coefficients of the numerator."""
         return len(self.numerator) - 1 - int(np.flatnonzero(self.numerator)[-1])
 
-    @property
+    @cached_property
     def has_repeated_poles(self) -> bool:
         """Whether two poles coincide, so that residues do not exist."""
         p = self.poles
@@ -71,6 +74,7 @@ class ShapingFilter:
         """F(s)."""
         return np.polyval(self.numerator, s) / np.polyval(self.denominator, s)
 
+    @cached_property
     def residues(self) -> ComplexArray:
         """(n,) Residues of F at its poles, which must be simple."""
         return np.polyval(self.numerator, self.poles) / np.polyval(np.polyder(self.denominator), self.poles)
@@ -101,12 +105,16 @@ class Disturbance:
 
     def __post_init__(self) -> None:
         if self.at not in NUMERATORS:
-            raise ModelError(f"disturbance '{self.name}': input '{self.at}' does not exist; {did_you_mean(self.at, NUMERATORS)}")
+            raise ModelError(
+                f"disturbance '{self.name}': input '{self.at}' does not exist; {did_you_mean(self.at, NUMERATORS)}"
+            )
         if (self.filter is None) == (self.frequency is None or self.psd is None):
             raise ModelError(f"disturbance '{self.name}': give either a shaping filter or a spectrum table")
         low, high = self.band
         if not 0 <= low < high:
-            raise ModelError(f"disturbance '{self.name}': band {low:.6g} to {high:.6g} rad/s is empty; the lower edge must be below the upper")
+            raise ModelError(
+                f"disturbance '{self.name}': band {low:.6g} to {high:.6g} rad/s is empty; the lower edge must be below the upper"
+            )
 
     @property
     def counted(self) -> tuple[float, float]:
@@ -151,9 +159,11 @@ def white(density: float) -> ShapingFilter:
 
 
 def _to_rms(numerator: Array, denominator: Array, rms: float) -> ShapingFilter:
-    numerator = np.trim_zeros(np.where(np.abs(numerator) < 1e-14 * np.abs(numerator).max(), 0.0, numerator), "f")
+    numerator = np.trim_zeros(
+        np.where(np.abs(numerator) < 1e-14 * np.abs(numerator).max(), 0.0, numerator), "f"
+    )
     shape = ShapingFilter(tuple(numerator), tuple(denominator))
-    variance = np.sum(shape.residues() * shape.response(-shape.poles)).real
+    variance = np.sum(shape.residues * shape.response(-shape.poles)).real
     return ShapingFilter(tuple(rms / sqrt(variance) * numerator), shape.denominator)
 
 
@@ -170,7 +180,12 @@ def refuse_infinite_variance(disturbance: Disturbance, loop: Loop, drifting: boo
         return
     pid, shape, at = loop.controller, disturbance.filter, disturbance.at
     derivative = pid.kd != 0 and pid.rolloff_time == 0
-    degree = {"mirror_torque": 2, "hub_torque": 3, "line_of_sight": 0, "sensor_noise": 1 if derivative else 2}[at]
+    degree = {
+        "mirror_torque": 2,
+        "hub_torque": 3,
+        "line_of_sight": 0,
+        "sensor_noise": 1 if derivative else 2,
+    }[at]
     if disturbance.band[1] == inf and degree + shape.relative_degree < 1:
         raise ModelError(
             f"disturbance '{disturbance.name}': infinite variance, its spectrum does not fall off at high "

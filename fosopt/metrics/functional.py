@@ -14,6 +14,22 @@ ComplexArray = NDArray[np.complex128]
 
 
 @dataclass(frozen=True)
+class Points:
+    """Points of the complex plane with the receptances there, so that nobody computes those twice.
+
+    Attributes
+    ----------
+    s
+        (m,) [rad/s].
+    g
+        Receptances at `s`.
+    """
+
+    s: ComplexArray
+    g: Receptances
+
+
+@dataclass(frozen=True)
 class Functional:
     """The differential of a loop metric, d(metric) = Re Σ_i w_i dR(s_i).
 
@@ -21,14 +37,14 @@ class Functional:
     ----------
     response
         Name of R: one of `control.NUMERATORS`, or ``characteristic``, ``loop_transfer``.
-    s
-        (m,) points where no closed-loop pole lies [rad/s].
+    points
+        Where, away from closed-loop poles.
     weight
         (m,) w.
     """
 
     response: str
-    s: ComplexArray
+    points: Points
     weight: ComplexArray
 
 
@@ -47,6 +63,10 @@ class LoopModel:
         h = modes.at(self.mirror_port)
         both = inverse @ np.column_stack([h * h, h * modes.at("hub")])
         return Receptances(both[:, 0], both[:, 1])
+
+    def points(self, s: ComplexArray) -> Points:
+        """Points with their receptances."""
+        return Points(s, self.receptances(s))
 
     def receptance_slopes(self, s: ComplexArray) -> Receptances:
         """Derivatives of the receptances in `s`."""

@@ -57,7 +57,9 @@ def modal_reaction_inertia(coupled: CoupledModes, mirror: Mirror) -> Array:
         return mirror.inertia / coupled.effective_modal_reaction_inertia
 
 
-def _turning(frame: ModalFrame, mode: int, others: NDArray[np.intp], motion: Array, size: int) -> tuple[Array, Array]:
+def _turning(
+    frame: ModalFrame, mode: int, others: NDArray[np.intp], motion: Array, size: int
+) -> tuple[Array, Array]:
     """Coefficients of d(φ_hk) = Σ_j φ_hj (dK_jk − λ_k dM_jk)/(λ_k − λ_j) from the modes `others`.  [Fox1968]"""
     stiffness, mass = np.zeros((size, size)), np.zeros((size, size))
     lam = frame.eigenvalue

@@ -11,6 +11,8 @@ filters with repeated poles use a quadrature that is refined at every resonance 
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import dataclass
 from math import inf, pi
 
 import numpy as np
@@ -19,7 +21,7 @@ from numpy.typing import NDArray
 from fosopt.control import NUMERATORS, ClosedLoopPoles, characteristic, closed_loop_response
 from fosopt.errors import UnstableError
 from fosopt.metrics.disturbances import Disturbance
-from fosopt.metrics.functional import Functional, LoopModel
+from fosopt.metrics.functional import Functional, LoopModel, Points
 from fosopt.ops import Dual
 
 Array = NDArray[np.float64]
@@ -28,10 +30,18 @@ ComplexArray = NDArray[np.complex128]
 _NODES = 20  # per half panel; 20 leave 1e-10 of a resonance a thousand times narrower than its panel
 
 
-def jitter_variance(
-    model: LoopModel, poles: ClosedLoopPoles, disturbance: Disturbance, shift: float = 0.0
-) -> tuple[float, Functional]:
-    """Mean square line-of-sight error of one disturbance, and its differential.
+@dataclass(frozen=True)
+class Variance:
+    """Mean square line-of-sight error [rad²] with its differential, a sum of functionals."""
+
+    value: float
+    functionals: tuple[Functional, ...]
+
+
+def jitter_variances(
+    model: LoopModel, poles: ClosedLoopPoles, disturbances: Sequence[Disturbance], shift: float = 0.0
+) -> list[Variance]:
+    """Mean square line-of-sight error of each disturbance.
 
     Parameters
     ----------
@@ -39,23 +49,22 @@ def jitter_variance(
         Evaluate H(s + shift) instead of H(s): finite for a loop whose poles lie left of `shift`, and the loop's
         own jitter at zero. Minimizing it while `shift` falls stabilizes a loop [rad/s].
 
-    Returns
-    -------
-    float
-        Variance [rad²].
-    Functional
-        Its differential.
-
     Raises
     ------
     UnstableError
         If a closed-loop pole does not lie left of `shift`: an unstable loop has no jitter.
     """
     if not poles.spectral_abscissa < shift:
-        raise UnstableError(f"closed loop is unstable: a pole has the real part {poles.spectral_abscissa:.6g} rad/s")
-    if disturbance.by_residues:
-        return _by_residues(model, poles, disturbance, shift)
-    return _by_quadrature(model, poles, disturbance, shift)
+        raise UnstableError(
+            f"closed loop is unstable: a pole has the real part {poles.spectral_abscissa:.6g} rad/s"
+        )
+    mirrored = model.points(2 * shift - poles.value)
+    return [
+        _by_residues(model, poles, disturbance, mirrored, shift)
+        if disturbance.by_residues
+        else _by_quadrature(model, poles, disturbance, shift)
+        for disturbance in disturbances
+    ]
 
 
 def pole_residues(model: LoopModel, poles: ClosedLoopPoles, response: str) -> ComplexArray:
@@ -69,34 +78,39 @@ def pole_residues(model: LoopModel, poles: ClosedLoopPoles, response: str) -> Co
 
 
 def _by_residues(
-    model: LoopModel, poles: ClosedLoopPoles, disturbance: Disturbance, shift: float
-) -> tuple[float, Functional]:
+    model: LoopModel, poles: ClosedLoopPoles, disturbance: Disturbance, mirrored: Points, shift: float
+) -> Variance:
     shape = disturbance.filter
     assert shape is not None
-    residues = poles.multiplicity * pole_residues(model, poles, disturbance.at) * shape.response(poles.value)
-    points = 2 * shift - poles.value
-    own = shape.poles
-    if own.size:
-        at_filter = closed_loop_response(disturbance.at, model.loop, own, model.receptances(own))
-        residues = np.concatenate([residues, at_filter * shape.residues()])
-        points = np.concatenate([points, 2 * shift - own])
-    filtered = residues * shape.response(points)
-    response = closed_loop_response(disturbance.at, model.loop, points, model.receptances(points))
-    variance = float(np.sum(filtered * response).real)
-    return variance, Functional(disturbance.at, points, 2 * filtered)
+    own = poles.multiplicity * pole_residues(model, poles, disturbance.at) * shape.response(poles.value)
+    groups = [(mirrored, own)]
+    if shape.poles.size:
+        at_filter = closed_loop_response(
+            disturbance.at, model.loop, shape.poles, model.receptances(shape.poles)
+        )
+        groups.append((model.points(2 * shift - shape.poles), at_filter * shape.residues))
+    variance, functionals = 0.0, []
+    for points, residues in groups:
+        filtered = residues * shape.response(points.s)
+        variance += float(
+            np.sum(filtered * closed_loop_response(disturbance.at, model.loop, points.s, points.g)).real
+        )
+        functionals.append(Functional(disturbance.at, points, 2 * filtered))
+    return Variance(variance, tuple(functionals))
 
 
 def _by_quadrature(
     model: LoopModel, poles: ClosedLoopPoles, disturbance: Disturbance, shift: float
-) -> tuple[float, Functional]:
+) -> Variance:
     low, high = disturbance.counted
     cuts = disturbance.frequency if disturbance.frequency is not None else np.zeros(0)
     own = disturbance.filter.poles if disturbance.filter is not None else np.zeros(0, complex)
     nodes, weights = resonance_quadrature(np.concatenate([poles.all - shift, own]), low, high, cuts)
-    s = 1j * nodes + shift
-    response = closed_loop_response(disturbance.at, model.loop, s, model.receptances(s))
+    points = model.points(1j * nodes + shift)
+    response = closed_loop_response(disturbance.at, model.loop, points.s, points.g)
     density = weights / (2 * pi) * disturbance.one_sided_psd(nodes)
-    return float(np.sum(density * np.abs(response) ** 2)), Functional(disturbance.at, s, 2 * density * response.conj())
+    functional = Functional(disturbance.at, points, 2 * density * response.conj())
+    return Variance(float(np.sum(density * np.abs(response) ** 2)), (functional,))
 
 
 def resonance_quadrature(poles: ComplexArray, low: float, high: float, cuts: Array) -> tuple[Array, Array]:

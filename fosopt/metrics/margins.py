@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from fosopt.control import ClosedLoopPoles, Receptances, characteristic, loop_transfer
 from fosopt.errors import SolverError
-from fosopt.metrics.functional import Functional, LoopModel
+from fosopt.metrics.functional import Functional, LoopModel, Points
 from fosopt.ops import Dual
 
 Array = NDArray[np.float64]
@@ -74,10 +74,10 @@ def modulus_margins(model: LoopModel, poles: ClosedLoopPoles, count: int) -> tup
     order = np.argsort(distance, kind="stable")[:count]
     distances = [float(distance[i]) for i in order if distance[i] < 1]
     functionals = [
-        Functional("loop_transfer", 1j * frequency[[i]], ((1 + value[[i]]).conj() / distance[i]))
+        Functional("loop_transfer", model.points(1j * frequency[[i]]), (1 + value[[i]]).conj() / distance[i])
         for i in order[: len(distances)]
     ]
-    none = Functional("loop_transfer", 1j * grid[:1], np.zeros(1, complex))
+    none = Functional("loop_transfer", model.points(1j * grid[:1]), np.zeros(1, complex))
     missing = count - len(distances)
     return np.array(distances + [1.0] * missing), functionals + [none] * missing
 
@@ -112,7 +112,7 @@ def crossover(model: LoopModel, poles: ClosedLoopPoles) -> tuple[float, Function
     frequency = 0.5 * (low + high)
     value, slope = loop_transfer_slope(model, np.array([frequency]))
     weight = -value.conj() / np.real(value.conj() * slope)
-    return float(frequency), Functional("loop_transfer", np.array([1j * frequency]), weight)
+    return float(frequency), Functional("loop_transfer", model.points(np.array([1j * frequency])), weight)
 
 
 def spectral_abscissa(model: LoopModel, poles: ClosedLoopPoles) -> tuple[float, Functional]:
@@ -136,4 +136,4 @@ def spectral_abscissa(model: LoopModel, poles: ClosedLoopPoles) -> tuple[float, 
     delta = characteristic(
         model.loop, Dual(s, 1.0), Receptances(Dual(g.direct, slope.direct), Dual(g.cross, slope.cross))
     )
-    return poles.spectral_abscissa, Functional("characteristic", s, -1 / delta.slope)
+    return poles.spectral_abscissa, Functional("characteristic", Points(s, g), -1 / delta.slope)

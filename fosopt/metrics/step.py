@@ -53,7 +53,9 @@ def step_response(model: LoopModel, poles: ClosedLoopPoles, time: Array) -> Arra
 
 def _error(model: LoopModel, poles: ClosedLoopPoles, time: Array) -> Array:
     if not poles.spectral_abscissa < 0:
-        raise UnstableError(f"closed loop is unstable: a pole has the real part {poles.spectral_abscissa:.6g} rad/s")
+        raise UnstableError(
+            f"closed loop is unstable: a pole has the real part {poles.spectral_abscissa:.6g} rad/s"
+        )
     amplitude = poles.multiplicity * pole_residues(model, poles, "command") / poles.value
     steady = 0.0
     if model.loop.controller.ki == 0:
@@ -87,8 +89,9 @@ def step_metrics(
     s, along = _path(fastest_frequency, start, end)
     kernel = np.exp(np.outer(s, time)) * weight
     share = step.command * along / s
-    offset = Functional("command", s, share * kernel.sum(axis=1) * np.sign(mean))
-    residual = Functional("command", s, share * (kernel @ ((error - mean) / max(rms, 1e-300))))
+    points = model.points(s)
+    offset = Functional("command", points, share * kernel.sum(axis=1) * np.sign(mean))
+    residual = Functional("command", points, share * (kernel @ ((error - mean) / max(rms, 1e-300))))
     return {
         "step_offset": (step.command * abs(mean), offset),
         "step_rms": (step.command * rms, residual),
@@ -100,7 +103,7 @@ def _path(fastest: float, start: float, end: float) -> tuple[ComplexArray, Compl
 
     Up along Re s = σ, past the fastest frequency, and left until e^{s·start} has died out.
     """
-    sigma = 2.0 / end
+    sigma = 5.0 / end
     top = 1.25 * fastest + 40 / start
     left = -45.0 / start
     x, w = np.polynomial.legendre.leggauss(12)

@@ -1,0 +1,20 @@
+"""Co-design problems as data: the system, one design of it, variables, objectives and constraints."""
+
+from fosopt.problem.problem import Constraint, Problem, Rows, branched
+from fosopt.problem.system import INDEXED, Design, Evaluation, ModeSelection, System
+from fosopt.problem.variables import Definitions, Variable, design_parameters
+
+__all__ = [
+    "INDEXED",
+    "Constraint",
+    "Definitions",
+    "Design",
+    "Evaluation",
+    "ModeSelection",
+    "Problem",
+    "Rows",
+    "System",
+    "Variable",
+    "branched",
+    "design_parameters",
+]

@@ -13,9 +13,9 @@ from fosopt.control import ClosedLoopPoles, Loop, closed_loop_poles
 from fosopt.errors import ModelError, SolverError, did_you_mean
 from fosopt.metrics import inertias, margins
 from fosopt.metrics.disturbances import Disturbance
-from fosopt.metrics.functional import Functional, LoopModel
+from fosopt.metrics.functional import Functional, LoopModel, Points
 from fosopt.metrics.inertias import ModalFunctional
-from fosopt.metrics.jitter import jitter_variance
+from fosopt.metrics.jitter import Variance, jitter_variances
 from fosopt.metrics.step import StepCommand, step_metrics
 from fosopt.modes import Damping, Hub, ModalFrame, ModalSet, modal_frame, receptance_functional
 from fosopt.plant import CoupledModes, coupled_modes
@@ -23,6 +23,7 @@ from fosopt.structure import Structure, structural_mass, structure_inertia
 from fosopt.symbolic import LOOP_PARAMETERS, loop_of, loop_parameters, response_partials
 
 Array = NDArray[np.float64]
+ComplexArray = NDArray[np.complex128]
 
 # How many branches of a metric that is a minimum over modes or frequencies enter a constraint one by one.
 BRANCHES = {"first_elastic_frequency": 4, "modulus_margin": 6}
@@ -57,7 +58,9 @@ class ModeSelection:
         else:
             chosen = np.arange(n)
         if chosen.size == 0 or chosen[0] < 0 or chosen[-1] >= n:
-            raise ModelError(f"modes: the selection keeps {chosen.size} modes of {n}; choose between 1 and {n}")
+            raise ModelError(
+                f"modes: the selection keeps {chosen.size} modes of {n}; choose between 1 and {n}"
+            )
         return chosen
 
 
@@ -81,7 +84,9 @@ class System:
     @property
     def metric_names(self) -> tuple[str, ...]:
         """Names of the scalar metrics."""
-        jitter = ("jitter_total", *(f"jitter_{d.name}" for d in self.disturbances)) if self.disturbances else ()
+        jitter = (
+            ("jitter_total", *(f"jitter_{d.name}" for d in self.disturbances)) if self.disturbances else ()
+        )
         return (*_SCALARS, *jitter, *(("step_offset", "step_rms") if self.step else ()))
 
 
@@ -113,7 +118,10 @@ class Design:
         """The design with other parameters, in the order of `parameters`."""
         b, r = self.area.size, self.batten_mass.size
         return Design(
-            parameters[:b], parameters[b : b + r], self.mirror_mass, loop_of([float(x) for x in parameters[b + r :]])
+            parameters[:b],
+            parameters[b : b + r],
+            self.mirror_mass,
+            loop_of([float(x) for x in parameters[b + r :]]),
         )
 
 
@@ -127,7 +135,7 @@ _SCALARS = (
     "first_elastic_frequency",
     "spectral_abscissa",
     "modulus_margin",
-    "crossover",
+    "loop_crossover",
 )
 INDEXED = (
     "structure_frequency",
@@ -162,7 +170,9 @@ class Evaluation:
     def frame(self) -> ModalFrame:
         """Eigenbasis of the structure."""
         d = self.design
-        return modal_frame(self.system.structure, d.area, d.batten_mass, d.mirror_mass, self.system.mirror_port)
+        return modal_frame(
+            self.system.structure, d.area, d.batten_mass, d.mirror_mass, self.system.mirror_port
+        )
 
     @cached_property
     def all_modes(self) -> ModalSet:
@@ -177,7 +187,9 @@ class Evaluation:
     @cached_property
     def modes(self) -> ModalSet:
         """Modal set of the design model."""
-        return self.all_modes if self.kept.size == self.frame.eigenvalue.size else self.all_modes.keep(self.kept)
+        return (
+            self.all_modes if self.kept.size == self.frame.eigenvalue.size else self.all_modes.keep(self.kept)
+        )
 
     @cached_property
     def model(self) -> LoopModel:
@@ -240,7 +252,9 @@ class Evaluation:
         if index is not None:
             raise ModelError(f"metric '{name}' takes no mode number")
         if name not in self.system.metric_names:
-            raise ModelError(f"metric '{name}' does not exist; {did_you_mean(name, (*self.system.metric_names, *INDEXED))}")
+            raise ModelError(
+                f"metric '{name}' does not exist; {did_you_mean(name, (*self.system.metric_names, *INDEXED))}"
+            )
         if name == "jitter_total":
             return self._jitter([f"jitter_{d.name}" for d in self.system.disturbances])
         if name.startswith("jitter_"):
@@ -257,7 +271,7 @@ class Evaluation:
                 self.frame, self.all_modes, self.kept, self.system.mirror_port
             )
             return value, self._modal_gradient(functional)
-        if name == "crossover":
+        if name == "loop_crossover":
             frequency, functional = margins.crossover(self.model, self.poles)
             return frequency, self._loop_gradient([functional])
         if name == "spectral_abscissa":
@@ -315,7 +329,9 @@ class Evaluation:
         if reaction == 0.0:
             return self._unmoved(name, index, k)
         if self.kept.size < self.frame.eigenvalue.size:
-            raise SolverError(f"{name}[{index}]: coupled modes of a truncated model have no gradient; keep all modes")
+            raise SolverError(
+                f"{name}[{index}]: coupled modes of a truncated model have no gradient; keep all modes"
+            )
         parts = inertias.coupled_functionals(self.frame, self.all_modes, coupled, mirror, port, k)
         by_eigenvalue = self._modal_gradient(parts["eigenvalue"])
         if name == "natural_frequency":
@@ -329,7 +345,9 @@ class Evaluation:
             gradient[-len(LOOP_PARAMETERS)] += 1 / reaction
             return value, gradient
         if np.isnan(coupled.zero[k]):
-            raise ModelError(f"{name}[{index}]: this is the mirror mode, which has no zero; choose another mode")
+            raise ModelError(
+                f"{name}[{index}]: this is the mirror mode, which has no zero; choose another mode"
+            )
         zero = float(coupled.zero[k])
         paired = int(self.kept[np.argmin(np.abs(self.modes.stiffness - zero))])
         if self.frame.eigenvalue[paired] > 0:
@@ -347,7 +365,9 @@ class Evaluation:
         """A mode the mirror cannot move: a free rigid body, or a node at the port."""
         none = np.zeros(self.design.parameters.size)
         if name == "modal_reaction_inertia":
-            raise ModelError(f"{name}[{index}] is infinite: the mirror cannot move this mode; use effective_{name}")
+            raise ModelError(
+                f"{name}[{index}] is infinite: the mirror cannot move this mode; use effective_{name}"
+            )
         if name == "effective_modal_reaction_inertia":
             return 0.0, none
         if name in ("pole_zero_separation", "participation"):
@@ -358,25 +378,22 @@ class Evaluation:
         return self._frequency(int(np.argmin(np.abs(self.frame.eigenvalue - eigenvalue))))
 
     @cached_property
-    def variances(self) -> dict[str, tuple[float, Functional]]:
+    def variances(self) -> dict[str, Variance]:
         """Mean square jitter of each disturbance with its differential, by metric name [rad²]."""
-        return {
-            f"jitter_{d.name}": jitter_variance(self.model, self.poles, d, self.shift)
-            for d in self.system.disturbances
-        }
+        disturbances = self.system.disturbances
+        found = jitter_variances(self.model, self.poles, disturbances, self.shift)
+        return {f"jitter_{d.name}": variance for d, variance in zip(disturbances, found, strict=True)}
 
     def _jitter(self, names: Sequence[str]) -> Valued:
-        variance = sum(self.variances[name][0] for name in names)
-        gradient = self._loop_gradient([self.variances[name][1] for name in names])
+        variance = sum(self.variances[name].value for name in names)
+        gradient = self._loop_gradient([f for name in names for f in self.variances[name].functionals])
         rms = float(np.sqrt(variance))
         return rms, gradient / (2 * rms)
 
     @cached_property
     def _margins(self) -> list[Valued]:
         values, functionals = margins.modulus_margins(self.model, self.poles, BRANCHES["modulus_margin"])
-        return [
-            (float(v), self._loop_gradient([f])) for v, f in zip(values, functionals, strict=True)
-        ]
+        return [(float(v), self._loop_gradient([f])) for v, f in zip(values, functionals, strict=True)]
 
     @cached_property
     def _step(self) -> dict[str, Valued]:
@@ -405,22 +422,25 @@ class Evaluation:
 
     def _loop_gradient(self, functionals: Sequence[Functional]) -> Array:
         """Gradient of Σ Re Σ w dR(s): through the receptances to the structure, and directly to the loop."""
-        s, direct, cross = [], [], []
         by_loop = np.zeros(len(LOOP_PARAMETERS))
+        # Functionals on the same points share the costly part, their way through the receptances.
+        shared: dict[int, tuple[Points, ComplexArray, ComplexArray]] = {}
         for f in functionals:
-            partials = response_partials(f.response, self.design.loop, f.s, self.model.receptances(f.s))
-            s.append(f.s)
-            direct.append(f.weight * partials.direct)
-            cross.append(f.weight * partials.cross)
+            partials = response_partials(f.response, self.design.loop, f.points.s, f.points.g)
+            direct, cross = f.weight * partials.direct, f.weight * partials.cross
+            if id(f.points) in shared:
+                direct, cross = shared[id(f.points)][1] + direct, shared[id(f.points)][2] + cross
+            shared[id(f.points)] = (f.points, direct, cross)
             by_loop += np.real(partials.parameters @ f.weight)
+        points, by_direct, by_cross = zip(*shared.values(), strict=True)
         stiffness, mass = receptance_functional(
             self.frame,
             self.all_modes,
             self.system.damping,
             self.kept,
-            np.concatenate(s),
-            np.concatenate(direct),
-            np.concatenate(cross),
+            np.concatenate([p.s for p in points]),
+            np.concatenate(by_direct),
+            np.concatenate(by_cross),
             self.system.mirror_port,
         )
         gradient = self._weights_gradient(stiffness, mass)

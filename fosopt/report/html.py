@@ -26,7 +26,7 @@ def write_report(run: Mapping[str, object], path: Path) -> None:
     """Write the report of a run, all of it or nothing.
 
     The file replaces an older one only when it is complete. Points that are unstable or failed lose their
-    jitter and their step response before anything is written: such numbers exist nowhere in the file.
+    jitter, step response and margin before anything is written: such numbers exist nowhere in the file.
 
     Parameters
     ----------
@@ -95,30 +95,34 @@ def _points(run: Mapping[str, object]) -> list[Mapping[str, object]]:
 
 
 def _without_false_numbers(point: Mapping[str, object]) -> dict[str, object]:
-    """The point as it may be shown: without jitter and step response unless its loop is known to be stable."""
+    """The point as it may be shown: an unstable or failed one loses all that means something when stable."""
     kept = dict(point)
     metrics = _mapping(point.get("metrics"))
     abscissa = metrics.get("spectral_abscissa")
     growing = isinstance(abscissa, int | float) and abscissa >= 0
     if not growing and point.get("status") not in ("unstable", "failed"):
         return kept
-    kept["metrics"] = {name: None if _of_response(name) else value for name, value in metrics.items()}
-    constraints = point.get("constraints")
+    kept["metrics"] = {name: None if _needs_stability(name) else value for name, value in metrics.items()}
+    constraints, history = point.get("constraints"), point.get("history")
     if isinstance(constraints, list):
-        kept["constraints"] = [
-            {**constraint, "value": None, "slack": None, "statement": None}
-            if _of_response(str(constraint.get("name")))
-            else constraint
-            for constraint in constraints
-        ]
+        kept["constraints"] = [_without_false_prices(constraint) for constraint in constraints]
+    if isinstance(history, list):
+        # The objective may be the jitter; how far the constraints were from holding stays worth seeing.
+        kept["history"] = [[iteration, None, infeasibility] for iteration, _, infeasibility in history]
     if point.get("detail") is not None:
         kept["detail"] = {**_mapping(point["detail"]), "jitter": None, "cumulative": None, "step": None}
     return kept
 
 
-def _of_response(name: str) -> bool:
+def _without_false_prices(constraint: Mapping[str, object]) -> dict[str, object]:
+    """A constraint of a point that is unstable or failed: nothing there has a price."""
+    kept = {**constraint, "multiplier": None, "statement": None}
+    return {**kept, "value": None, "slack": None} if _needs_stability(str(constraint.get("name"))) else kept
+
+
+def _needs_stability(name: str) -> bool:
     """Whether a metric, or an expression of metrics, means something for a stable loop only."""
-    return "jitter_" in name or "step_" in name
+    return any(part in name for part in ("jitter_", "step_", "modulus_margin"))
 
 
 def _mapping(value: object) -> dict[str, object]:

@@ -89,16 +89,28 @@ def _check(truss: Truss, mirror_port: str) -> None:
 
     dims = {len(xyz) for xyz in truss.nodes.values()}
     if dims not in ({2}, {3}):
-        refuse("nodes", sorted(dims), "coordinates per node; give two for a planar truss or three for a spatial one")
+        refuse(
+            "nodes",
+            sorted(dims),
+            "coordinates per node; give two for a planar truss or three for a spatial one",
+        )
     carried: dict[str, str] = {}
     for batten in truss.battens:
         for node in batten.nodes:
             _known(node, truss.nodes, f"batten '{batten.name}'")
             if node in carried:
-                refuse(f"batten '{batten.name}'", f"node '{node}'", f"already belongs to '{carried[node]}'; a node has one batten")
+                refuse(
+                    f"batten '{batten.name}'",
+                    f"node '{node}'",
+                    f"already belongs to '{carried[node]}'; a node has one batten",
+                )
             carried[node] = batten.name
         if not batten.mass > 0 or not np.all(np.asarray(batten.inertia) > 0):
-            refuse(f"batten '{batten.name}'", f"mass {batten.mass}, inertia {batten.inertia}", "must be above zero")
+            refuse(
+                f"batten '{batten.name}'",
+                f"mass {batten.mass}, inertia {batten.inertia}",
+                "must be above zero",
+            )
     lengths_needed = []
     for bar in truss.bars:
         for node in bar.nodes:
@@ -107,7 +119,11 @@ def _check(truss: Truss, mirror_port: str) -> None:
         for what in ("area", "young", "density"):
             value = getattr(bar, what)
             if not (np.isfinite(value) and value > 0):
-                refuse(f"bar '{bar.name}'", f"{what} {value}", "is not above zero; give a positive value or leave the bar out")
+                refuse(
+                    f"bar '{bar.name}'",
+                    f"{what} {value}",
+                    "is not above zero; give a positive value or leave the bar out",
+                )
     for bar, length in zip(lengths_needed, bar_lengths(truss), strict=True):
         if not length > 0:
             refuse(f"bar '{bar.name}'", f"length {length}", "m; its two nodes must lie apart")
@@ -190,9 +206,7 @@ def _stiffness(truss: Truss, frame: _Frame) -> tuple[sparse.csr_array, sparse.cs
         rows.append(sparse.csr_array(([1.0], ([0], [index])), shape=(1, len(frame.names))))
     per_area = np.array([bar.young for bar in truss.bars]) / lengths
     n_bar, n_spring = len(truss.bars), len(truss.springs)
-    by_area = sparse.vstack(
-        [sparse.diags_array(per_area), sparse.csr_array((n_spring, n_bar))], format="csr"
-    )
+    by_area = sparse.vstack([sparse.diags_array(per_area), sparse.csr_array((n_spring, n_bar))], format="csr")
     constant = np.concatenate([np.zeros(n_bar), [spring.stiffness for spring in truss.springs]])
     return sparse.csr_array(sparse.vstack(rows)), by_area, constant
 
@@ -243,7 +257,9 @@ def _mass(truss: Truss, frame: _Frame, mirror_port: str) -> _Mass:
 
     def table(entries: list[tuple[int, int, float]], columns: int) -> sparse.csr_array:
         i, j, v = zip(*entries, strict=True) if entries else ((), (), ())
-        return sparse.csr_array((np.array(v, float), (np.array(i, int), np.array(j, int))), shape=(count, columns))
+        return sparse.csr_array(
+            (np.array(v, float), (np.array(i, int), np.array(j, int))), shape=(count, columns)
+        )
 
     constant = np.zeros(count)
     for index, value in constant_entries:

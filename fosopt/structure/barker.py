@@ -66,7 +66,13 @@ def barker_truss(
         nodes[f"N{i}a"] = (i * BAY_LENGTH, -h)
         nodes[f"N{i}b"] = (i * BAY_LENGTH, h)
         battens.append(
-            Batten(f"B{i}", (f"N{i}a", f"N{i}b"), batten_mass, BATTEN_INERTIA * batten_mass / BATTEN_MASS, bay=max(i, 1))
+            Batten(
+                f"B{i}",
+                (f"N{i}a", f"N{i}b"),
+                batten_mass,
+                BATTEN_INERTIA * batten_mass / BATTEN_MASS,
+                bay=max(i, 1),
+            )
         )
     longeron = (LONGERON_STIFFNESS * BAY_LENGTH / TUBE_AREA, LONGERON_MASS / (TUBE_AREA * BAY_LENGTH))
     slant = BAY_LENGTH * 2**0.5

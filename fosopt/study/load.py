@@ -91,7 +91,9 @@ def _first(error: ValidationError, source: Source) -> StudyError:
         at = source.position(path, of_key=of_key)
         found.append(((at.line or 0, at.column or 0), len(found), message, path, of_key))
     # A list with a broken item counts as too short; the item is what is wrong.
-    inner = [each for each in found if not any(each[3] == other[3][: len(each[3])] != other[3] for other in found)]
+    inner = [
+        each for each in found if not any(each[3] == other[3][: len(each[3])] != other[3] for other in found)
+    ]
     _, _, message, path, of_key = min(inner)
     return source.error(message, path, of_key=of_key)
 
@@ -132,7 +134,11 @@ def _explained(details: Mapping[str, Any], data: Any) -> tuple[KeyPath, bool, st
 
 def _missing(path: KeyPath) -> str:
     last = path[-1] if path else ""
-    return f"value {last + 1} is missing; add it" if isinstance(last, int) else f"the key '{last}' is required; add it"
+    return (
+        f"value {last + 1} is missing; add it"
+        if isinstance(last, int)
+        else f"the key '{last}' is required; add it"
+    )
 
 
 def _path(location: Sequence[str | int], data: Any, *, missing: bool) -> KeyPath:

@@ -21,6 +21,7 @@ LARGEST_FILE = 10 * 1024**2
 _MOST_VALUES = 200_000
 _MOST_ALIASES = 100
 _DEEPEST = 20
+_LONGEST_KEY = 200
 _TAG = "tag:yaml.org,2002:"
 
 
@@ -133,7 +134,12 @@ def _compose(text: str, file: str) -> Node | None:
         mark = error.problem_mark or error.context_mark
         problem = " ".join(str(error.problem or error.context or "no YAML").split())
         line, column = (mark.line + 1, mark.column + 1) if mark else (None, None)
-        raise StudyError(f"{problem}; check the YAML", file=file, line=line, column=column) from None
+        raise StudyError(
+            f"{problem}; check the YAML, and put text with any of []{{}}: in quotes",
+            file=file,
+            line=line,
+            column=column,
+        ) from None
     except RecursionError:
         raise StudyError(f"nested more than {_DEEPEST} deep; flatten it", file=file) from None
     except YAMLError as error:
@@ -191,6 +197,10 @@ class _Reader:
                     key_node, path, "a key is a name, not a list or mapping; write 'name: value'"
                 )
             key = str(key_node.value)
+            if not (key.isprintable() and 0 < len(key) <= _LONGEST_KEY):
+                raise self.refuse(
+                    key_node, path, f"{quote(key)} is no key; use 1 to {_LONGEST_KEY} printable characters"
+                )
             line = key_node.start_mark.line + 1
             if key in seen:
                 raise self.refuse(
@@ -237,7 +247,7 @@ def override(source: Source, assignment: str) -> Source:
         For text without ``=``, a broken value, or a path that leads through a list item or value that
         does not exist.
     """
-    file = f"--set {assignment}"
+    file = f"--set {' '.join(assignment.split())}"
     dotted, equals, text = assignment.partition("=")
     keys = dotted.strip().split(".")
     if not equals or not all(keys):

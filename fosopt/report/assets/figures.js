@@ -15,12 +15,12 @@ function axis(title, more = {}) {
   return {
     title: { text: plain(title), standoff: 8 }, showline: true, mirror: true, linecolor: MUTED, linewidth: 1,
     ticks: "inside", tickcolor: MUTED, ticklen: 4, gridcolor: GRID, zeroline: false, automargin: true,
-    exponentformat: "power", ...more,
+    exponentformat: "e", ...more,
   };
 }
 
 function decades(title, more = {}) {
-  return axis(title, { type: "log", dtick: 1, minor: { ticks: "inside", ticklen: 2, tickcolor: MUTED }, ...more });
+  return axis(title, { type: "log", dtick: 1, tickformat: "~g", minor: { ticks: "inside", ticklen: 2, tickcolor: MUTED }, ...more });
 }
 
 function layout(more) {
@@ -64,11 +64,18 @@ function turns(values) {
   return span > 1440 ? 720 : span > 720 ? 360 : span > 360 ? 180 : 90;
 }
 
+// −180° and its like within the range of an unwrapped phase.
+function critical(phases) {
+  const known = phases.filter((value) => typeof value === "number");
+  const least = Math.ceil((Math.min(...known) - 180) / 360), most = Math.floor((Math.max(...known) - 180) / 360);
+  return Array.from({ length: Math.max(0, most - least + 1) }, (_, index) => 180 + 360 * (least + index));
+}
+
 function bodeFigure(point) {
   const bode = point.detail?.bode;
   if (!bode) return null;
   const curve = { x: bode.frequency_hz, mode: "lines", line: { color: BLUE, width: 1.5 } };
-  const shapes = [levelLine(0, "x", "").shape, { ...levelLine(-180, "x", "").shape, yref: "y2" }];
+  const shapes = [levelLine(0, "x", "").shape, ...critical(bode.loop_phase_deg).map((phase) => ({ ...levelLine(phase, "x", "").shape, yref: "y2" }))];
   shapes.forEach((shape) => Object.assign(shape.line, { color: MUTED, width: 1, dash: "dot" }));
   const crossover = point.metrics?.crossover, annotations = [];
   if (typeof crossover === "number" && crossover > 0) {
@@ -82,7 +89,7 @@ function bodeFigure(point) {
       { ...curve, y: bode.loop_phase_deg, yaxis: "y2", hovertemplate: "%{x:.4g} Hz<br>phase %{y:.1f}°<extra></extra>" },
     ],
     layout: layout({
-      xaxis: decades("Frequency (Hz)", { anchor: "y2" }),
+      xaxis: decades("Frequency (Hz)", { anchor: "y2", mirror: "all" }),
       yaxis: axis("|L| (dB)", { domain: [0.46, 1] }),
       yaxis2: axis("Phase of L (°)", { domain: [0, 0.42], dtick: turns(bode.loop_phase_deg) }),
       shapes, annotations,
@@ -97,17 +104,19 @@ function sensitivityFigure(point) {
   const margin = point.metrics?.modulus_margin;
   const least = (point.constraints ?? []).find((constraint) => constraint.name === "modulus_margin")?.lower;
   const levels = [[margin, `1/modulus margin = ${number(1 / margin, 3)}`, { color: MUTED, width: 1, dash: "dot" }],
-    [least, `required: at most ${number(1 / least, 3)}`, { color: VERMILION, width: 1.5, dash: "dash" }]];
+    [least, `required: at most ${trimmed(1 / least, 3)}`, { color: VERMILION, width: 1.5, dash: "dash" }]];
   levels.filter(([value]) => value > 0).forEach(([value, label, style], index) => {
     const line = levelLine(-20 * Math.log10(value), "x", label);
     shapes.push({ ...line.shape, line: style });
-    const side = index ? {} : { x: 0, xanchor: "left", font: { size: 11, color: MUTED } };
-    annotations.push({ ...line.note, ...side });
+    const side = index ? {} : { x: 0, xanchor: "left", yanchor: "top", font: { size: 11, color: MUTED } };
+    annotations.push({ ...line.note, bgcolor: "rgba(255,255,255,0)", ...side });
   });
   const curve = (values, name, style) => ({
     x: bode.frequency_hz, y: decibels(values), name, mode: "lines", line: { width: 1.6, ...style },
     hovertemplate: `%{x:.4g} Hz<br>${name} %{y:.2f} dB<extra></extra>`,
   });
+  // An integrator sends |S| far down at low frequency, where nothing is decided.
+  const peak = Math.max(...[bode.sensitivity, bode.complementary_sensitivity ?? []].flatMap(decibels), 6);
   return {
     data: [
       curve(bode.sensitivity, "|S|", { color: BLUE }),
@@ -115,7 +124,7 @@ function sensitivityFigure(point) {
         ? [curve(bode.complementary_sensitivity, "|T|", { color: ORANGE, dash: "dash" })] : []),
     ],
     layout: layout({
-      xaxis: decades("Frequency (Hz)"), yaxis: axis("Magnitude (dB)"), shapes, annotations, showlegend: true,
+      xaxis: decades("Frequency (Hz)"), yaxis: axis("Magnitude (dB)", { range: [-60, peak + 8] }), shapes, annotations, showlegend: true,
       margin: { l: 56, r: 14, t: 34, b: 44 },
     }),
   };
@@ -135,16 +144,15 @@ function jitterFigure(point) {
   // The first row stands at the bottom of a bar chart.
   const rows = [...sources.map((name) => [name, jitter[name]]), ["total", total]].reverse();
   const where = rows.map((_, index) => index);
-  const share = (value) => `${number(100 * (value / total) ** 2, 3)} % of variance`;
+  const labels = rows.map(([name, value]) => {
+    const share = name === "total" ? "" : `, ${number(100 * (value / total) ** 2, 2)} %`;
+    return `<b>${plain(name.replaceAll("_", " "))}</b><br>${plain(withUnit(number(value * factor, 3), unit))}${share}`;
+  });
   const limits = rows.map(([name]) => requirements[name === "total" ? "jitter_total" : `jitter_${name}`]);
   const data = [{
     type: "bar", orientation: "h", y: where, x: rows.map(([, value]) => value * factor), width: 0.62,
     marker: { color: rows.map(([name]) => (name === "total" ? INK : SOURCES[sources.indexOf(name) % SOURCES.length])) },
-    text: rows.map(([name, value]) => {
-      const text = withUnit(number(value * factor, 3), unit);
-      return name === "total" ? text : `${text}, ${share(value)}`;
-    }),
-    textposition: "outside", cliponaxis: false, hoverinfo: "skip",
+    hoverinfo: "skip",
   }];
   const [furthest, shapes, annotations] = [[...rows.map(([, value]) => value), limits[0] ?? 0], [], []];
   rows.forEach(([name], index) => {
@@ -153,16 +161,16 @@ function jitterFigure(point) {
     shapes.push({ ...line.shape, yref: "y", y0: index - 0.4, y1: index + 0.4 });
   });
   if (limits[0] > 0) {
-    const line = levelLine(limits[0] * factor, "y", `requirement ${withUnit(number(limits[0] * factor, 3), unit)}`);
+    const line = levelLine(limits[0] * factor, "y", `requirement ${limit("jitter_total", limits[0])}`);
     shapes.push(line.shape);
     annotations.push({ ...line.note, yanchor: "bottom", textangle: 0, xanchor: "right" });
   }
   return {
     data,
     layout: layout({
-      xaxis: axis(`Line-of-sight jitter, rms (${unit})`, { range: [0, 1.45 * factor * Math.max(...furthest)] }),
+      xaxis: axis(`Line-of-sight jitter, rms (${unit})`, { range: [0, 1.06 * factor * Math.max(...furthest)] }),
       yaxis: axis("", {
-        tickvals: where, ticktext: rows.map(([name]) => plain(name.replaceAll("_", " "))), ticks: "", showgrid: false,
+        tickvals: where, ticktext: labels, ticks: "", showgrid: false,
         range: [-0.6, rows.length - 0.4],
       }),
       shapes, annotations, margin: { l: 70, r: 14, t: 24, b: 44 },
@@ -183,12 +191,12 @@ function cumulativeFigure(point) {
     color: SOURCES[index % SOURCES.length], dash: DASHES[index % DASHES.length], width: 1.6,
   }));
   if (cumulative.total) data.push(curve("total", { color: INK, width: 2.4 }));
-  const limit = requirements.jitter_total;
-  const line = limit > 0 ? levelLine(limit * factor, "x", `requirement ${withUnit(number(limit * factor, 3), unit)}`) : null;
+  const most = requirements.jitter_total;
+  const line = most > 0 ? levelLine(most * factor, "x", `requirement ${limit("jitter_total", most)}`) : null;
   return {
     data,
     layout: layout({
-      xaxis: decades("Frequency (Hz)"), yaxis: axis(`Jitter below frequency, rms (${unit})`, { rangemode: "tozero" }),
+      xaxis: decades("Frequency (Hz)"), yaxis: axis(`Cumulative jitter, rms (${unit})`, { rangemode: "tozero" }),
       shapes: line ? [line.shape] : [], annotations: line ? [{ ...line.note, x: 0, xanchor: "left" }] : [],
       showlegend: true, margin: { l: 60, r: 14, t: 34, b: 44 },
     }),
@@ -208,11 +216,11 @@ function stepFigure(point) {
     });
     annotations.push({
       x: (start + end) / 2, y: 0, yref: "y domain", yanchor: "bottom", showarrow: false, font: { size: 11, color: MUTED },
-      text: `window ${number(start, 3)} to ${number(end, 3)} ms`,
+      text: `window ${trimmed(start)} to ${trimmed(end)} ms`,
     });
   }
   if (typeof step.command === "number") {
-    const line = levelLine(step.command * factor, "x", `command ${withUnit(number(step.command * factor, 3), unit)}`);
+    const line = levelLine(step.command * factor, "x", `command ${withUnit(trimmed(step.command * factor), unit)}`);
     shapes.push({ ...line.shape, line: { color: MUTED, width: 1, dash: "dash" } });
     annotations.push({ ...line.note, font: { size: 11, color: MUTED } });
   }
@@ -251,10 +259,11 @@ function historyFigure(point) {
   const history = point.history ?? [];
   if (history.length < 2) return null;
   const x = history.map(([iteration]) => iteration);
+  const valued = history.some(([, value]) => typeof value === "number");
   const curve = { x, mode: "lines+markers", marker: { size: 4 }, line: { color: BLUE, width: 1.5 } };
   return {
     data: [
-      { ...curve, y: history.map(([, value]) => value), hovertemplate: "iteration %{x}<br>objective %{y:.6g}<extra></extra>" },
+      ...(valued ? [{ ...curve, y: history.map(([, value]) => value), hovertemplate: "iteration %{x}<br>objective %{y:.6g}<extra></extra>" }] : []),
       {
         ...curve, y: history.map(([, , value]) => (value > 0 ? value : null)), yaxis: "y2",
         line: { color: ORANGE, width: 1.5 }, marker: { size: 5, symbol: "diamond" },
@@ -262,8 +271,8 @@ function historyFigure(point) {
       },
     ],
     layout: layout({
-      xaxis: axis("Iteration", { anchor: "y2" }), yaxis: axis("Objective", { domain: [0.54, 1] }),
-      yaxis2: axis("Infeasibility", { domain: [0, 0.46], type: "log", nticks: 5 }), margin: { l: 64, r: 14, t: 12, b: 44 },
+      xaxis: axis("Iteration", { anchor: "y2", mirror: "all" }), ...(valued ? { yaxis: axis("Objective", { domain: [0.54, 1] }) } : {}),
+      yaxis2: axis("Infeasibility", { domain: [0, valued ? 0.46 : 1], type: "log", nticks: 5 }), margin: { l: 64, r: 14, t: 12, b: 44 },
     }),
   };
 }

@@ -64,6 +64,16 @@ function shown(name, value) {
   return withUnit(number(typeof value === "number" ? value * factor : null), unit);
 }
 
+// A limit was typed by someone; it comes back without the zeros that a measured value carries.
+function trimmed(value, digits = 4) {
+  return number(value, digits).replace(/(\.\d*?)0+(?=$|×)/, "$1").replace(/\.(?=$|×)/, "");
+}
+
+function limit(name, value) {
+  const { unit, factor } = quantity(name);
+  return withUnit(trimmed(value * factor), unit);
+}
+
 function heading(name) {
   const { label, unit } = quantity(name);
   return unit ? `${capital(label)} (${unit})` : capital(label);
@@ -88,6 +98,11 @@ function verdict(point) {
   return ["optimal", "evaluated"].includes(point.status) ? "not verified" : point.status ?? "not verified";
 }
 
+// Labels and reasons name metrics as a study file does; a reader wants their labels.
+function readable(text) {
+  return String(text).replace(/\b\w+_\w+\b/g, (word) => (Object.hasOwn(run.quantities ?? {}, word) ? quantity(word).label : word));
+}
+
 function titleOf(point) {
-  return point.case || point.label || "";
+  return readable(point.case || point.label || "");
 }

@@ -87,9 +87,9 @@ function frontFigure() {
   const kind = (index) => (logarithmic[index] ? { type: "log" } : {});
   const shapes = [], annotations = [];
   [[0, "y", first, "x"], [1, "x", second, "y"]].forEach(([index, across, factor, key]) => {
-    const limit = requirements[objectives[index]];
-    if (typeof limit !== "number") return;
-    const line = levelLine(limit * factor, across, `requirement ${shown(objectives[index], limit)}`);
+    const name = objectives[index], most = requirements[name];
+    if (typeof most !== "number") return;
+    const line = levelLine(most * factor, across, `requirement ${limit(name, most)}`);
     shapes.push(line.shape);
     annotations.push(placed(line, key, logarithmic[index]));
   });
@@ -105,7 +105,7 @@ function frontFigure() {
   return {
     data,
     layout: layout({
-      xaxis: axis(heading(objectives[0]), kind(0)),
+      xaxis: axis(heading(objectives[0]), { ...kind(0), mirror: valueless.length ? "all" : true }),
       yaxis: axis(heading(objectives[1]), { ...kind(1), domain: [0, valueless.length ? 0.9 : 1] }),
       ...(valueless.length ? {
         yaxis2: axis("", {
@@ -132,10 +132,10 @@ function barsFigure(selectedKey) {
   if (rows.length < 2) return null;
   const { factor } = quantity(objectives[0]);
   const where = rows.map((_, index) => index);
-  const limit = requirements[objectives[0]];
-  const line = typeof limit === "number" ? levelLine(limit * factor, "y", `requirement ${shown(objectives[0], limit)}`) : null;
+  const most = requirements[objectives[0]];
+  const line = typeof most === "number" ? levelLine(most * factor, "y", `requirement ${limit(objectives[0], most)}`) : null;
   const sound = rows.map(isSound);
-  const furthest = Math.max(...rows.map((point) => objective(point, 0)), limit ?? 0) * factor;
+  const furthest = Math.max(...rows.map((point) => objective(point, 0)), most ?? 0) * factor;
   return {
     data: [{
       type: "bar", orientation: "h", width: 0.62, y: where, x: rows.map((point) => objective(point, 0) * factor),

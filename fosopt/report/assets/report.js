@@ -1,21 +1,25 @@
 // The page: fills the header and the overview once, and the rest anew for each selected point.
 
-const CONFIG = { responsive: true, displaylogo: false, modeBarButtonsToRemove: ["select2d", "lasso2d", "autoScale2d"] };
+const CONFIG = {
+  responsive: true, displaylogo: false, modeBarButtonsToRemove: ["select2d", "lasso2d", "autoScale2d"],
+  // Without a pointer that hovers the tools would cover every figure for good.
+  displayModeBar: matchMedia("(hover: hover)").matches ? "hover" : false,
+};
 
 // [id, width of the panel, height class, caption, figure or table]
 const PANELS = [
   ["structure", "full", "", structureCaption, structureFigure],
   ["metrics", "half", null, () => "Metrics of this point.", metricsTable],
   ["variables", "half", null, () => "Design variables; a range opens to its values.", variablesTable],
+  ["history", "half", "", () => "Convergence: objective as the solver sees it, and largest constraint violation.", historyFigure],
   ["constraints", "full", null, () => "Constraints, with the slack to the nearer bound and the multiplier of the active ones.", constraintsTable],
-  ["jitter", "half", "", () => "Line-of-sight jitter by source; sources add as root sum of squares.", jitterFigure],
+  ["jitter", "half", "", () => "Line-of-sight jitter by source; they add as root sum of squares. In percent: the share of the variance.", jitterFigure],
   ["cumulative", "half", "", () => "Cumulative jitter: root mean square of all that lies below a frequency.", cumulativeFigure],
-  ["bode", "half", "tall", () => "Loop transfer L: magnitude and phase. Dotted: 0 dB and −180°.", bodeFigure],
+  ["bode", "half", "tall", () => "Loop transfer L: magnitude and phase. Dotted: 0 dB and −180° (plus whole turns).", bodeFigure],
   ["sensitivity", "half", "tall", sensitivityCaption, sensitivityFigure],
   ["step", "half", "", () => "Response to a step command.", stepFigure],
   ["poles", "half", "", () => "Closed-loop poles, one of each conjugate pair: natural frequency and damping ratio.", polesFigure],
   ["modes", "full", null, modesCaption, modesTable],
-  ["history", "full", "", () => "Convergence: objective as the solver sees it, and largest constraint violation.", historyFigure],
 ];
 
 const byKey = new Map(points.map((point) => [String(point.key), point]));
@@ -55,7 +59,7 @@ function makePanels() {
     const caption = element("figcaption", { id: `${id}-caption` });
     const holder = { id, "aria-labelledby": `${id}-caption`, role: height === null ? "region" : "img" };
     const content = height === null
-      ? element("div", { ...holder, class: "scroll limited", tabindex: "0" })
+      ? element("div", { ...holder, class: `scroll ${id === "modes" ? "limited" : ""}`, tabindex: "0" })
       : element("div", { ...holder, class: `plot ${height}` });
     const body = height === null ? content : element("div", { class: "scroll" }, content);
     const figure = element("figure", { class: `${width} ${height === null ? "tabular" : ""}`, id: `${id}-panel` });
@@ -109,7 +113,7 @@ function showPoint() {
   const unwell = !isSound(point);
   const reason = point.reason ?? (unwell ? `No reason was recorded for the state “${verdict(point)}”.` : "");
   at("reason").hidden = !reason;
-  at("reason").textContent = reason ? `${capital(verdict(point))}: ${reason}` : "";
+  at("reason").textContent = reason ? `${capital(verdict(point))}: ${readable(reason)}` : "";
   if (hasFront()) Plotly.restyle("front", ringOf(point), [at("front").data.length - 1]);
   else if (drawn.has("front")) draw("front", barsFigure(point.key));
   PANELS.forEach((panel) => fillPanel(panel, point));
@@ -124,6 +128,7 @@ function select(key, { link = true } = {}) {
     const current = row.dataset.key === String(point.key);
     row.classList.toggle("current", current);
     row.querySelector("button.pick").setAttribute("aria-pressed", String(current));
+    if (current && at("points").contains(row)) keepInView(row);
   }
   if (link) history.replaceState(null, "", `#point=${encodeURIComponent(point.key)}`);
   // A held arrow key asks for points faster than twelve panels can be drawn.
@@ -131,8 +136,10 @@ function select(key, { link = true } = {}) {
   pending = requestAnimationFrame(showPoint);
 }
 
-function keepInView(row, box) {
-  const [top, bottom] = [row.offsetTop - 40, row.offsetTop + row.offsetHeight];
+// Scrolls the table alone: the page stays where the reader is.
+function keepInView(row) {
+  const box = at("points"), head = box.querySelector("thead").offsetHeight;
+  const [top, bottom] = [row.offsetTop - head, row.offsetTop + row.offsetHeight];
   if (top < box.scrollTop) box.scrollTop = top;
   else if (bottom > box.scrollTop + box.clientHeight) box.scrollTop = bottom - box.clientHeight;
 }
@@ -142,10 +149,7 @@ function step(by) {
   const next = order[order.indexOf(selected) + by];
   if (!next) return;
   select(next.key);
-  const row = [...at("points").querySelectorAll("tr[data-key]")].find((one) => one.dataset.key === String(next.key));
-  if (!row) return;
-  keepInView(row, at("points"));
-  if (at("points").contains(document.activeElement)) row.querySelector("button").focus({ preventScroll: true });
+  if (at("points").contains(document.activeElement)) at("points").querySelector("tr.current button").focus({ preventScroll: true });
 }
 
 function onKey(event) {

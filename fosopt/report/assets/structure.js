@@ -132,13 +132,25 @@ function planarFigure(truss) {
     layout: layout({
       xaxis: axis("x (m)", {
         showgrid: false, range: [length.least - 0.015 * length.size, length.most + 0.015 * length.size],
-        anchor: slender ? "y2" : "y", constrain: slender ? "range" : "domain",
+        anchor: slender ? "y2" : "y", mirror: slender ? "all" : true, constrain: slender ? "range" : "domain",
       }),
       yaxis: axis("y (m)", slender ? { ...equal, domain: [0.68, 1], nticks: 4 } : { ...equal, constrain: "domain" }),
-      ...(slender ? { yaxis2: axis(`Area (${areaUnit().unit})`, { domain: [0, 0.6], rangemode: "tozero" }) } : {}),
+      ...(slender ? { yaxis2: axis(`Area (${areaUnit().unit})`, { domain: [0, 0.57], rangemode: "tozero" }) } : {}),
       showlegend: slender,
-      legend: { orientation: "h", x: 0, y: 0.615, yanchor: "bottom", font: { size: 11.5 } },
+      legend: { orientation: "h", x: 0, y: 0.58, yanchor: "bottom", font: { size: 11.5 }, bgcolor: "rgba(255,255,255,0)" },
     }),
+  };
+}
+
+// Looks across the longest side, so that a mast lies along the figure or stands in it.
+function view(truss) {
+  const sides = [0, 1, 2].map((k) => span(truss.nodes.map((node) => node[k])).size);
+  const longest = sides.indexOf(Math.max(...sides));
+  const ratio = sides.map((side) => 1.9 * Math.max(side / sides[longest], 1e-3));
+  const [x, y, z] = [[0.45, -1.5, 0.7], [1.5, 0.45, 0.7], [1.2, -1.2, 0.35]][longest];
+  return {
+    aspectmode: "manual", aspectratio: { x: ratio[0], y: ratio[1], z: ratio[2] },
+    camera: { eye: { x, y, z }, projection: { type: "orthographic" } },
   };
 }
 
@@ -153,7 +165,7 @@ function spatialFigure(truss) {
       colorMarkers(truss, { type: "scatter3d", x, y, z, showlegend: false }),
     ],
     layout: layout({
-      scene: { aspectmode: "data", xaxis: title("x (m)"), yaxis: title("y (m)"), zaxis: title("z (m)"), dragmode: "orbit" },
+      scene: { ...view(truss), xaxis: title("x (m)"), yaxis: title("y (m)"), zaxis: title("z (m)"), dragmode: "orbit" },
       margin: { l: 0, r: 0, t: 0, b: 0 },
     }),
   };

@@ -22,8 +22,7 @@ function mark(point) {
 
 function pointsTable() {
   const several = strategies.length > 1;
-  const named = points.some(titleOf);
-  const heads = [["Point"], ...(named ? [["Label"]] : []), ...(several ? [["Strategy"]] : []),
+  const heads = [["Point"], ["Design"],
     ...objectives.map((name) => [heading(name), "n"]), ["State"]];
   const rows = ordered().map((point) => {
     const button = element("button", { type: "button", class: "pick", "data-key": point.key }, point.key);
@@ -32,8 +31,8 @@ function pointsTable() {
       const value = objective(point, index);
       return cell(number(value === null ? null : value * quantity(name).factor), "n");
     });
-    return element("tr", { "data-key": point.key }, rowHead(button), ...(named ? [cell(titleOf(point), "label")] : []),
-      ...(several ? [cell(strategyName(point.strategy ?? ""))] : []), ...values, cell(mark(point)));
+    return element("tr", { "data-key": point.key }, rowHead(button),
+      cell([several ? strategyName(point.strategy ?? "") : "", element("span", { class: "label" }, titleOf(point))]), ...values, cell(mark(point)));
   });
   return table("Points of the study", heads, rows, "points");
 }
@@ -135,8 +134,8 @@ function modesTable(point) {
 function modesCaption(point) {
   const values = (point.detail?.modes ?? []).map((mode) => mode.effective_modal_reaction_inertia);
   const sum = values.reduce((total, value) => total + (value ?? 0), 0);
-  return "Modes of the coupled system: effective modal reaction inertia J̄ₖ (vanishing mirror coupling is zero, negative is "
-    + `nonminimum phase), pole-zero separation βₖ and modal inertia. The J̄ₖ listed sum to ${number(sum)}; over all modes the sum is one.`;
+  return "Modes of the coupled system: effective modal reaction inertia J̄ₖ (its bar runs left of zero when negative), "
+    + `pole-zero separation βₖ and modal inertia. The J̄ₖ listed sum to ${number(sum)}; over all modes the sum is one.`;
 }
 
 function constraintsTable(point) {
@@ -146,10 +145,10 @@ function constraintsTable(point) {
     const violated = typeof slack === "number" && slack < -1e-6 * Math.max(Math.abs(value ?? 0), Number.MIN_VALUE);
     const state = violated ? "violated" : active ? "active" : typeof value === "number" ? "inactive" : missing;
     const glyph = { violated: "✕ ", active: "● " }[state] ?? "";
-    const bounds = [typeof lower === "number" ? `≥ ${shown(name, lower)}` : "", typeof upper === "number" ? `≤ ${shown(name, upper)}` : ""];
+    const bounds = [typeof lower === "number" ? `≥ ${limit(name, lower)}` : "", typeof upper === "number" ? `≤ ${limit(name, upper)}` : ""];
     return element("tr", { class: state }, rowHead(capital(quantity(name).label)), cell(shown(name, value), "n"),
       cell(bounds.filter(Boolean).join(", "), "n"), cell(shown(name, slack), "n"), cell(number(multiplier), "n"),
-      cell(element("span", { class: `mark ${violated ? "unsound" : ""}` }, `${glyph}${state}`)), cell(statement ?? ""));
+      cell(element("span", { class: `mark ${violated ? "unsound" : ""}` }, `${glyph}${state}`)), cell(readable(statement ?? ""), "sentence"));
   });
   return table("Constraints", [["Constraint"], ["Value", "n"], ["Bound", "n"], ["Slack", "n"], ["Multiplier", "n"], ["State"],
     ["What it costs"]], rows);
@@ -165,7 +164,7 @@ function variablesTable(point) {
     const content = few ? [values.map((value) => number(value)).join(", ")] : [element("details", {},
       element("summary", {}, `${number(Math.min(...values))} to ${number(Math.max(...values))}`),
       values.map((value) => number(value)).join(", "))];
-    return element("tr", {}, rowHead(capital(quantity(name).label)), cell(String(values.length), "n"), cell(content, "n values"), cell(unit));
+    return element("tr", {}, rowHead(capital(quantity(name).label)), cell(String(values.length), "n"), cell(content, "n values"), cell(unit, "unit"));
   });
   return table("Design variables", [["Variable"], ["Values", "n"], ["", "n"], ["Unit"]], rows);
 }
@@ -175,11 +174,11 @@ function metricsTable(point) {
   if (!names.length) return null;
   const judged = names.some((name) => name in requirements);
   const rows = names.map((name) => {
-    const value = point.metrics[name], limit = requirements[name];
-    const met = typeof value === "number" && typeof limit === "number" ? value <= limit : null;
+    const value = point.metrics[name], most = requirements[name];
+    const met = typeof value === "number" && typeof most === "number" ? value <= most : null;
     const verdictText = met === null ? "" : `${met ? "● met" : "✕ exceeded"}`;
-    return element("tr", {}, rowHead(capital(quantity(name).label)), cell(metricNumber(name, value), "n"), cell(quantity(name).unit),
-      ...(judged ? [cell(typeof limit === "number" ? `≤ ${shown(name, limit)}` : "", "n"),
+    return element("tr", {}, rowHead(capital(quantity(name).label)), cell(metricNumber(name, value), "n"), cell(quantity(name).unit, "unit"),
+      ...(judged ? [cell(typeof most === "number" ? `≤ ${limit(name, most)}` : "", "n"),
         cell(element("span", { class: `mark ${met === false ? "unsound" : "sound"}` }, verdictText))] : []));
   });
   return table("Metrics", [["Metric"], ["Value", "n"], ["Unit"], ...(judged ? [["Requirement", "n"], [""]] : [])], rows);

@@ -1,0 +1,159 @@
+"""Design variables and how they become the parameters of a design."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import sparse
+
+from fosopt import ops
+from fosopt.actuators import Mirror
+from fosopt.control import gain_for_crossover
+from fosopt.errors import ModelError
+from fosopt.problem.system import Design, System
+from fosopt.structure import structure_inertia
+from fosopt.symbolic import LOOP_PARAMETERS, loop_parameters
+
+Array = NDArray[np.float64]
+
+Quantity = Literal[
+    "area",
+    "batten_mass",
+    "mirror_inertia",
+    "mirror_inertia_ratio",
+    "mirror_frequency",
+    "gain",
+    "crossover",
+    "kp",
+    "ki",
+    "kd",
+]
+Discipline = Literal["structure", "control"]
+
+
+@dataclass(frozen=True)
+class Variable:
+    """One design variable, a scalar or one value per group of members.
+
+    Attributes
+    ----------
+    name
+        Unique identifier.
+    quantity
+        What it sets.
+    lower, upper, start
+        (g,) bounds and start value, in the unit of the quantity.
+    log
+        Whether the optimizer works on its logarithm; needs a positive lower bound.
+    groups
+        For areas and batten masses: the indices of the members in each of the g groups.
+    labels
+        (g,) names of the groups.
+    """
+
+    name: str
+    quantity: Quantity
+    lower: Array
+    upper: Array
+    start: Array
+    log: bool = True
+    groups: tuple[tuple[int, ...], ...] = ()
+    labels: tuple[str, ...] = ()
+
+    def __post_init__(self) -> None:
+        for low, high, start in zip(self.lower, self.upper, self.start, strict=True):
+            if not (np.isfinite(low) and np.isfinite(high) and low < high):
+                raise ModelError(
+                    f"variable '{self.name}': bounds {low:g} and {high:g} cross; the lower must be below the upper"
+                )
+            if not low <= start <= high:
+                raise ModelError(
+                    f"variable '{self.name}': start {start:g} lies outside {low:g} to {high:g}; move it or the bounds"
+                )
+            if self.log and not low > 0:
+                raise ModelError(
+                    f"variable '{self.name}': lower bound {low:g} is not positive; raise it or use a linear scale"
+                )
+
+    @property
+    def size(self) -> int:
+        """Number of groups, one for a scalar."""
+        return int(self.start.size)
+
+    @property
+    def discipline(self) -> Discipline:
+        """Who sizes it in the sequential habit: structure first, then mirror and controller."""
+        return "structure" if self.quantity in ("area", "batten_mass") else "control"
+
+
+@dataclass(frozen=True)
+class Definitions:
+    """Quantities that follow others unless they are design variables.
+
+    Attributes
+    ----------
+    inertia_ratio
+        When given, J_m is this multiple of the structure's inertia about the hub.
+    crossover
+        When given, the gain is the one that puts the crossover of the rigidly supported mirror here [rad/s].
+    """
+
+    inertia_ratio: float | None = None
+    crossover: float | None = None
+
+
+def design_parameters(
+    system: System, base: Design, definitions: Definitions, variables: Sequence[Variable], x: Any
+) -> Any:
+    """Parameters of a design (areas, batten masses, loop) from the values of all variables.
+
+    One text for numbers and symbols; its Jacobian carries gradients from parameters to variables.
+
+    Parameters
+    ----------
+    x
+        (n,) values of the variables one after another.
+
+    Returns
+    -------
+    (b + r + 8,)
+        In the order of `Design.parameters`.
+    """
+    structure = system.structure
+    values: dict[str, Any] = {}
+    members = {"area": base.area, "batten_mass": base.batten_mass}
+    offset = 0
+    for variable in variables:
+        part = x[offset : offset + variable.size]
+        offset += variable.size
+        if variable.groups:
+            base_values = members[variable.quantity]
+            spread = _membership(variable, len(getattr(base, variable.quantity)))
+            fixed = 1.0 - np.asarray(spread.sum(axis=1)).ravel()
+            members[variable.quantity] = base_values * fixed + ops.linear(spread, part)
+        else:
+            values[variable.quantity] = part[0]
+    loop = dict(zip(LOOP_PARAMETERS, loop_parameters(base.loop), strict=True))
+    for name in ("mirror_inertia", "mirror_frequency", "gain", "kp", "ki", "kd"):
+        loop[name] = values.get(name, loop[name])
+    ratio = values.get("mirror_inertia_ratio", definitions.inertia_ratio)
+    if ratio is not None and "mirror_inertia" not in values:
+        loop["mirror_inertia"] = ratio * structure_inertia(structure, members["area"], members["batten_mass"])
+    crossover = values.get("crossover", definitions.crossover)
+    if crossover is not None and "gain" not in values:
+        mirror = Mirror(loop["mirror_inertia"], loop["mirror_frequency"], loop["mirror_damping_ratio"])
+        loop["gain"] = gain_for_crossover(
+            crossover, mirror, loop["kp"], loop["ki"], loop["kd"], loop["rolloff_time"]
+        )
+    return ops.stack(members["area"], members["batten_mass"], *(loop[name] for name in LOOP_PARAMETERS))
+
+
+def _membership(variable: Variable, count: int) -> sparse.csr_array:
+    """(count, g) One where a member belongs to a group."""
+    rows = [member for group in variable.groups for member in group]
+    columns = [g for g, group in enumerate(variable.groups) for _ in group]
+    return sparse.csr_array((np.ones(len(rows)), (rows, columns)), shape=(count, variable.size))

@@ -1,0 +1,289 @@
+"""IPOPT on a scaled nonlinear program [Wachter2006], through CasADi [Andersson2019]."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any, Literal
+
+import casadi as ca
+import numpy as np
+from numpy.typing import NDArray
+
+from fosopt.solve.nlp import NonlinearProgram, Task
+from fosopt.symbolic import OracleFunction
+
+Array = NDArray[np.float64]
+
+Status = Literal["optimal", "infeasible", "failed", "interrupted"]
+
+
+@dataclass(frozen=True)
+class Options:
+    """What a user may set.
+
+    Attributes
+    ----------
+    tolerance
+        Scaled optimality tolerance.
+    max_iterations, time_limit
+        Per solve; [s].
+    """
+
+    tolerance: float = 1e-7
+    max_iterations: int = 300
+    time_limit: float = 120.0
+
+
+@dataclass(frozen=True)
+class Solution:
+    """Outcome of one optimization, as the solver sees it; `certify` judges it.
+
+    Attributes
+    ----------
+    x
+        (n,) values of all variables.
+    status, reason
+        Outcome, and what to do where it is not ``optimal``.
+    objective
+        Value of what was minimized, SI units.
+    multipliers
+        (m,) per row of the program, in units of the objective per unit of the row.
+    row_names
+        (m,) constraint of each row.
+    iterations, seconds
+        Effort.
+    history
+        Iteration, objective, infeasibility.
+    """
+
+    x: Array
+    status: Status
+    reason: str | None
+    objective: float
+    multipliers: Array
+    row_names: tuple[str, ...]
+    iterations: int
+    seconds: float
+    history: tuple[tuple[int, float, float], ...]
+
+
+_STATUS: dict[str, tuple[Status, str | None]] = {
+    "Solve_Succeeded": ("optimal", None),
+    "Solved_To_Acceptable_Level": ("optimal", None),
+    "Feasible_Point_Found": ("optimal", None),
+    "Infeasible_Problem_Detected": (
+        "infeasible",
+        "no design meets all constraints near here; relax one of them",
+    ),
+    "Maximum_Iterations_Exceeded": ("failed", "iteration limit reached; raise solve.max_iterations"),
+    "Maximum_WallTime_Exceeded": ("failed", "time limit reached; raise solve.time_limit"),
+    "Maximum_CpuTime_Exceeded": ("failed", "time limit reached; raise solve.time_limit"),
+    "Restoration_Failed": (
+        "infeasible",
+        "the solver could not restore feasibility; relax a constraint or start elsewhere",
+    ),
+    "Search_Direction_Becomes_Too_Small": (
+        "failed",
+        "the step became too small; the problem may be badly posed here",
+    ),
+    "Invalid_Number_Detected": ("failed", "the start has no metrics; start from a stable design"),
+    "User_Requested_Stop": ("interrupted", "stopped by the user"),
+}
+
+
+def solve(
+    task: Task,
+    start: Array,
+    options: Options | None = None,
+    *,
+    shift: float = 0.0,
+    stop: Callable[[], bool] = lambda: False,
+    good_enough: Callable[[NonlinearProgram, Array], bool] | None = None,
+) -> Solution:
+    """Find a local optimum of a task from a start at which all its metrics exist.
+
+    Parameters
+    ----------
+    start
+        (n,) values of all variables.
+    options
+        Limits and tolerance.
+    shift
+        See `problem.Evaluation`.
+    stop
+        Asked at every iteration; true ends the solve with what it has.
+    good_enough
+        Asked at every iteration with the program and the scaled point; true ends the solve as converged.
+    """
+    options = options or Options()
+    begin = time.perf_counter()
+    program = NonlinearProgram(task, start, shift)
+    bridge = _Bridge(program)
+    watch = _Watch(program, stop, good_enough)
+    solver = ca.nlpsol(
+        "solver",
+        "ipopt",
+        bridge.nlp,
+        {
+            "grad_f": bridge.objective_gradient,
+            "jac_g": bridge.row_jacobian,
+            "iteration_callback": watch,
+            "print_time": False,
+            "show_eval_warnings": False,
+            "calc_lam_p": False,
+            "calc_lam_x": False,
+            "calc_f": False,
+            "calc_g": False,
+            "error_on_fail": False,
+            "ipopt": {
+                "print_level": 0,
+                "sb": "yes",
+                "hessian_approximation": "limited-memory",
+                "limited_memory_max_history": 20,
+                "tol": options.tolerance,
+                "acceptable_iter": 8,
+                "acceptable_tol": 20 * options.tolerance,
+                "acceptable_constr_viol_tol": options.tolerance,
+                "acceptable_obj_change_tol": options.tolerance,
+                "max_iter": options.max_iterations,
+                "max_wall_time": options.time_limit,
+                # A relaxed bound would let the objective fall below the true optimum.
+                "bound_relax_factor": 0.0,
+                "mu_strategy": "adaptive",
+                "nlp_scaling_method": "none",
+            },
+        },
+    )
+    answer = solver(
+        x0=program.scaled(start),
+        lbx=program.lower,
+        ubx=program.upper,
+        lbg=program.row_lower,
+        ubg=program.row_upper,
+    )
+    statistics = solver.stats()
+    status, reason = _STATUS.get(
+        statistics["return_status"], ("failed", f"solver stopped: {statistics['return_status']}")
+    )
+    if watch.converged:
+        status, reason = "optimal", None
+    z = answer["x"].full().ravel()
+    found = program(z)
+    value = found[0] * program.objective_scale if found is not None else float("nan")
+    multipliers = answer["lam_g"].full().ravel() * program.objective_scale / program.row_scale
+    return Solution(
+        program.unscaled(z),
+        status,
+        reason,
+        value,
+        multipliers,
+        program.row_names,
+        int(statistics["iter_count"]),
+        time.perf_counter() - begin,
+        tuple(watch.history),
+    )
+
+
+class _Bridge:
+    """The program as the functions IPOPT calls, all answered by one cached evaluation."""
+
+    def __init__(self, program: NonlinearProgram) -> None:
+        n, m = program.lower.size, program.row_lower.size
+        missing = (float("nan"), np.full(n, np.nan), np.full(m, np.nan), np.full((m, n), np.nan))
+
+        def at(z: Array) -> tuple[float, Array, Array, Array]:
+            return program(z) or missing
+
+        dense = ca.Sparsity.dense
+        shapes = {"f": dense(1), "grad": dense(n), "g": dense(m), "jac": dense(m, n)}
+
+        def stacked(z: Array) -> tuple[Array, Array]:
+            value, gradient, rows, jacobian = at(z)
+            return np.concatenate([[value], rows]), np.vstack([gradient, jacobian])
+
+        self._all = OracleFunction("rows", stacked, n, m + 1)
+        z = ca.MX.sym("z", n)
+        everything = self._all(z)
+        self.nlp = {"x": z, "f": everything[0], "g": everything[1:]}
+        # Without these two IPOPT would go through a product with the full Jacobian for each of them.
+        self.objective_gradient = _Answer(
+            "nlp_grad_f", n, [shapes["f"], shapes["grad"]], lambda z: list(at(z)[:2])
+        )
+        self.row_jacobian = _Answer("nlp_jac_g", n, [shapes["g"], shapes["jac"]], lambda z: list(at(z)[2:]))
+
+
+class _Answer(ca.Callback):  # type: ignore[misc]
+    def __init__(
+        self,
+        name: str,
+        size: int,
+        outputs: list[ca.Sparsity],
+        answer: Callable[[Array], list[Any]],
+    ) -> None:
+        ca.Callback.__init__(self)
+        self._size, self._outputs, self._answer = size, outputs, answer
+        self.construct(name, {})
+
+    def get_n_in(self) -> int:
+        return 2
+
+    def get_n_out(self) -> int:
+        return len(self._outputs)
+
+    def get_sparsity_in(self, index: int) -> ca.Sparsity:
+        return ca.Sparsity.dense(self._size) if index == 0 else ca.Sparsity(0, 0)
+
+    def get_sparsity_out(self, index: int) -> ca.Sparsity:
+        return self._outputs[index]
+
+    def eval(self, arguments: list[ca.DM]) -> list[Any]:
+        return self._answer(arguments[0].full().ravel())
+
+
+class _Watch(ca.Callback):  # type: ignore[misc]
+    """Records the convergence history and ends the solve when asked."""
+
+    def __init__(
+        self,
+        program: NonlinearProgram,
+        stop: Callable[[], bool],
+        good_enough: Callable[[NonlinearProgram, Array], bool] | None,
+    ) -> None:
+        ca.Callback.__init__(self)
+        self._program, self._stop, self._good_enough = program, stop, good_enough
+        self.history: list[tuple[int, float, float]] = []
+        self.converged = False
+        self.construct("watch", {})
+
+    def get_n_in(self) -> int:
+        return int(ca.nlpsol_n_out())
+
+    def get_n_out(self) -> int:
+        return 1
+
+    def get_name_in(self, index: int) -> str:
+        return str(ca.nlpsol_out(index))
+
+    def get_name_out(self, index: int) -> str:
+        return "ret"
+
+    def get_sparsity_in(self, index: int) -> ca.Sparsity:
+        n, m = self._program.lower.size, self._program.row_lower.size
+        sizes = {"f": 1, "x": n, "lam_x": n, "g": m, "lam_g": m}
+        size = sizes.get(ca.nlpsol_out(index), 0)
+        return ca.Sparsity.dense(size) if size else ca.Sparsity(0, 0)
+
+    def eval(self, arguments: list[ca.DM]) -> list[int]:
+        names = [ca.nlpsol_out(i) for i in range(ca.nlpsol_n_out())]
+        given = dict(zip(names, arguments, strict=True))
+        rows = given["g"].full().ravel()
+        program = self._program
+        violation = np.maximum(program.row_lower - rows, rows - program.row_upper)
+        objective = float(given["f"]) * program.objective_scale
+        self.history.append((len(self.history), objective, float(violation.max(initial=0.0))))
+        if self._good_enough is not None and self._good_enough(program, given["x"].full().ravel()):
+            self.converged = True
+            return [1]
+        return [int(self._stop())]
