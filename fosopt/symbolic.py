@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
 from typing import Any
@@ -152,7 +152,7 @@ class Differentiable:
         return value.full().ravel(), jacobian.full()
 
 
-class OracleFunction(ca.Callback):  # type: ignore[misc]
+class OracleFunction(ca.Callback):
     """A vector function computed outside CasADi, with its exact Jacobian, as a CasADi function.
 
     Keep a reference to it for as long as a function made from it is in use.
@@ -191,7 +191,7 @@ class OracleFunction(ca.Callback):  # type: ignore[misc]
         """Dense (m,)."""
         return ca.Sparsity.dense(self._count)
 
-    def eval(self, arguments: list[ca.DM]) -> list[Array]:
+    def eval(self, arguments: Sequence[ca.DM]) -> list[Array]:
         """Values at one point."""
         return [self._evaluate(arguments[0].full().ravel())[0]]
 
@@ -200,7 +200,7 @@ class OracleFunction(ca.Callback):  # type: ignore[misc]
         return True
 
     def get_jacobian(
-        self, name: str, inputs: list[str], outputs: list[str], options: dict[str, Any]
+        self, name: str, inames: Sequence[str], onames: Sequence[str], opts: Mapping[str, Any]
     ) -> ca.Function:
         """The Jacobian, asked from the same oracle."""
         jacobian = _OracleJacobian(name, self._evaluate, self._size, self._count)
@@ -208,7 +208,7 @@ class OracleFunction(ca.Callback):  # type: ignore[misc]
         return jacobian
 
 
-class _OracleJacobian(ca.Callback):  # type: ignore[misc]
+class _OracleJacobian(ca.Callback):
     def __init__(
         self, name: str, evaluate: Callable[[Array], tuple[Array, Array]], size: int, count: int
     ) -> None:
@@ -228,7 +228,7 @@ class _OracleJacobian(ca.Callback):  # type: ignore[misc]
     def get_sparsity_out(self, index: int) -> ca.Sparsity:
         return ca.Sparsity.dense(self._count, self._size)
 
-    def eval(self, arguments: list[ca.DM]) -> list[Array]:
+    def eval(self, arguments: Sequence[ca.DM]) -> list[Array]:
         return [self._evaluate(arguments[0].full().ravel())[1]]
 
 

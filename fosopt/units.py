@@ -145,7 +145,7 @@ class _UnitText:
         while end < len(text):
             match = _TOKEN.match(text, end)
             if match is None:
-                raise QuantityError(f"'{text[end:].strip()}' is no unit")
+                raise QuantityError(f"{quote(text[end:].strip())} is no unit")
             self.tokens.append(match[1].replace(" ", ""))
             end = match.end()
         self.at = 0

@@ -112,7 +112,10 @@ def test_a_dump_loads_to_an_equal_study_bit_for_bit(text):
     assert Study.model_validate(study.model_dump(mode="json")) == study
 
 
-@given(st.floats(min_value=1e-300, max_value=1e300), st.text(st.characters(codec="utf-8"), max_size=30))
+PROSE = st.text(st.characters(codec="utf-8").filter(lambda c: c.isprintable() or c in "\n\t"), max_size=30)
+
+
+@given(st.floats(min_value=1e-300, max_value=1e300), PROSE)
 @settings(suppress_health_check=[HealthCheck.too_slow])
 def test_any_number_and_text_survive_the_dump(number, text):
     data = parse_study(TRUSS).model_dump(mode="json")
@@ -343,6 +346,7 @@ BAD_TEMPLATE = [
         "outside the variable's bounds",
     ),
     ("solve:\n", "design: {crossover: [1, 2]}\nsolve:\n", "[1, 2]", "design.crossover", "single value"),
+    ("kind: codesign ", 'description: "a\\eb"', '"a\\eb"', "description", "control character"),
     ("kind: codesign ", "kind: analysis ", "front:", "front", "an analysis has no 'front'"),
     ("solve:\n", "name: twice\nsolve:\n", "name: twice", "name", "first in line 9"),
     ("name: Mass against jitter", "name: [", ":", None, "check the YAML"),
@@ -693,6 +697,6 @@ def loads_or_refuses(text):
     try:
         study = parse_study(text)
     except StudyError as error:
-        assert len(str(error).splitlines()) == 1
+        assert str(error).isprintable()
     else:
         assert parse_study(dump_study(study)) == study

@@ -15,7 +15,16 @@ from importlib.resources import files
 from pathlib import Path
 from string import Template
 
-SCRIPTS = ("format.js", "figures.js", "structure.js", "front.js", "tables.js", "report.js")
+SCRIPTS = (
+    "format.js",
+    "plot.js",
+    "loop.js",
+    "figures.js",
+    "structure.js",
+    "front.js",
+    "tables.js",
+    "report.js",
+)
 """Parts of the page's script, in the order in which they use each other."""
 
 WEBGL_POINTS = 10_000
@@ -59,11 +68,11 @@ def document(run: Mapping[str, object]) -> str:
     parts = "".join((assets / name).read_text(encoding="utf-8") for name in SCRIPTS)
     script = f'(() => {{\n"use strict";\n{parts}}})();\n'
     library: str = get_plotlyjs()
-    shown = {**run, "points": [_without_false_numbers(point) for point in _points(run)]}
+    points = [_without_false_numbers(point) for point in _points(run)]
     return Template((assets / "report.html").read_text(encoding="utf-8")).substitute(
-        policy=_policy([library, script], evaluates=len(shown["points"]) > WEBGL_POINTS),
+        policy=_policy([library, script], evaluates=len(points) > WEBGL_POINTS),
         style=(assets / "report.css").read_text(encoding="utf-8"),
-        data=_embeddable(shown),
+        data=_embeddable({**run, "points": points}),
         plotly=library,
         script=script,
     )
@@ -91,7 +100,7 @@ def _embeddable(data: object) -> str:
 
 def _points(run: Mapping[str, object]) -> list[Mapping[str, object]]:
     points = run.get("points")
-    return [dict(point) for point in points] if isinstance(points, list) else []
+    return points if isinstance(points, list) else []
 
 
 def _without_false_numbers(point: Mapping[str, object]) -> dict[str, object]:

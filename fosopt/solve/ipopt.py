@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any, Literal
 
@@ -11,12 +11,22 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from fosopt.solve.nlp import NonlinearProgram, Task
+from fosopt.solve.nlp import Program
 from fosopt.symbolic import OracleFunction
 
 Array = NDArray[np.float64]
 
 Status = Literal["optimal", "infeasible", "failed", "interrupted"]
+
+
+def never() -> bool:
+    """Never stop."""
+    return False
+
+
+def never_enough(x: Array) -> bool:
+    """No point is good enough before the optimum."""
+    return False
 
 
 @dataclass(frozen=True)
@@ -94,32 +104,23 @@ _STATUS: dict[str, tuple[Status, str | None]] = {
 
 
 def solve(
-    task: Task,
-    start: Array,
-    options: Options | None = None,
-    *,
-    shift: float = 0.0,
-    stop: Callable[[], bool] = lambda: False,
-    good_enough: Callable[[NonlinearProgram, Array], bool] | None = None,
+    program: Program,
+    options: Options,
+    stop: Callable[[], bool] = never,
+    good_enough: Callable[[Array], bool] = never_enough,
 ) -> Solution:
-    """Find a local optimum of a task from a start at which all its metrics exist.
+    """Find a local optimum of a program from its start, at which all its metrics must exist.
 
     Parameters
     ----------
-    start
-        (n,) values of all variables.
     options
         Limits and tolerance.
-    shift
-        See `problem.Evaluation`.
     stop
         Asked at every iteration; true ends the solve with what it has.
     good_enough
-        Asked at every iteration with the program and the scaled point; true ends the solve as converged.
+        Asked at every iteration with the values of all variables; true ends the solve as converged.
     """
-    options = options or Options()
     begin = time.perf_counter()
-    program = NonlinearProgram(task, start, shift)
     bridge = _Bridge(program)
     watch = _Watch(program, stop, good_enough)
     solver = ca.nlpsol(
@@ -157,7 +158,7 @@ def solve(
         },
     )
     answer = solver(
-        x0=program.scaled(start),
+        x0=program.scaled(program.start),
         lbx=program.lower,
         ubx=program.upper,
         lbg=program.row_lower,
@@ -189,7 +190,7 @@ def solve(
 class _Bridge:
     """The program as the functions IPOPT calls, all answered by one cached evaluation."""
 
-    def __init__(self, program: NonlinearProgram) -> None:
+    def __init__(self, program: Program) -> None:
         n, m = program.lower.size, program.row_lower.size
         missing = (float("nan"), np.full(n, np.nan), np.full(m, np.nan), np.full((m, n), np.nan))
 
@@ -214,7 +215,7 @@ class _Bridge:
         self.row_jacobian = _Answer("nlp_jac_g", n, [shapes["g"], shapes["jac"]], lambda z: list(at(z)[2:]))
 
 
-class _Answer(ca.Callback):  # type: ignore[misc]
+class _Answer(ca.Callback):
     def __init__(
         self,
         name: str,
@@ -238,18 +239,18 @@ class _Answer(ca.Callback):  # type: ignore[misc]
     def get_sparsity_out(self, index: int) -> ca.Sparsity:
         return self._outputs[index]
 
-    def eval(self, arguments: list[ca.DM]) -> list[Any]:
+    def eval(self, arguments: Sequence[ca.DM]) -> list[Any]:
         return self._answer(arguments[0].full().ravel())
 
 
-class _Watch(ca.Callback):  # type: ignore[misc]
+class _Watch(ca.Callback):
     """Records the convergence history and ends the solve when asked."""
 
     def __init__(
         self,
-        program: NonlinearProgram,
+        program: Program,
         stop: Callable[[], bool],
-        good_enough: Callable[[NonlinearProgram, Array], bool] | None,
+        good_enough: Callable[[Array], bool],
     ) -> None:
         ca.Callback.__init__(self)
         self._program, self._stop, self._good_enough = program, stop, good_enough
@@ -275,7 +276,7 @@ class _Watch(ca.Callback):  # type: ignore[misc]
         size = sizes.get(ca.nlpsol_out(index), 0)
         return ca.Sparsity.dense(size) if size else ca.Sparsity(0, 0)
 
-    def eval(self, arguments: list[ca.DM]) -> list[int]:
+    def eval(self, arguments: Sequence[ca.DM]) -> list[int]:
         names = [ca.nlpsol_out(i) for i in range(ca.nlpsol_n_out())]
         given = dict(zip(names, arguments, strict=True))
         rows = given["g"].full().ravel()
@@ -283,7 +284,7 @@ class _Watch(ca.Callback):  # type: ignore[misc]
         violation = np.maximum(program.row_lower - rows, rows - program.row_upper)
         objective = float(given["f"]) * program.objective_scale
         self.history.append((len(self.history), objective, float(violation.max(initial=0.0))))
-        if self._good_enough is not None and self._good_enough(program, given["x"].full().ravel()):
+        if self._good_enough(program.unscaled(given["x"].full().ravel())):
             self.converged = True
             return [1]
         return [int(self._stop())]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from math import inf
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -35,6 +36,28 @@ class Task:
     objective: Expression
     constraints: tuple[Constraint, ...]
     free: NDArray[np.bool_] = field(repr=False)
+
+
+class Program(Protocol):
+    """What an optimizer needs: scaled bounds, rows, and one callable that answers for a point."""
+
+    start: Array
+    lower: Array
+    upper: Array
+    row_lower: Array
+    row_upper: Array
+    row_scale: Array
+    objective_scale: float
+    row_names: tuple[str, ...]
+
+    def scaled(self, x: Array) -> Array:
+        """Scaled free variables of (n,) values of all variables."""
+
+    def unscaled(self, z: Array) -> Array:
+        """(n,) values of all variables."""
+
+    def __call__(self, z: Array) -> tuple[float, Array, Array, Array] | None:
+        """Scaled objective, gradient, rows, Jacobian; None where the design has no such numbers."""
 
 
 class NonlinearProgram:
@@ -71,25 +94,22 @@ class NonlinearProgram:
         self.failure: str | None = None
         value = self._raw(start)[0]
         self.objective_scale = max(abs(value[0]), 1e-300)
-        self._names: list[str] = []
+        names: list[str] = []
         bounds: list[tuple[float, float, float]] = []
         for constraint, at_start in zip(single, value[1 : 1 + len(single)], strict=True):
             sizes = [abs(b) for b in (constraint.lower, constraint.upper) if np.isfinite(b) and b != 0]
             size = max(sizes, default=max(abs(float(at_start)), 1e-300))
             bounds.append((constraint.lower, constraint.upper, size))
-            self._names.append(constraint.name)
+            names.append(constraint.name)
         for constraint, metric in self._branched:
             for _ in self._known_evaluation(start).branches(metric):
                 bounds.append((constraint.lower, inf, abs(constraint.lower) or 1.0))
-                self._names.append(constraint.name)
+                names.append(constraint.name)
+        # The branches of a minimum share the name of their constraint.
+        self.row_names = tuple(names)
         table = np.array(bounds).reshape(-1, 3)
         self.row_scale = table[:, 2]
         self.row_lower, self.row_upper = table[:, 0] / self.row_scale, table[:, 1] / self.row_scale
-
-    @property
-    def row_names(self) -> tuple[str, ...]:
-        """Name of the constraint each row belongs to; the branches of a minimum share one."""
-        return tuple(self._names)
 
     def scaled(self, x: Array) -> Array:
         """Scaled free variables of (n,) values of all variables."""

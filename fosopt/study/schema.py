@@ -26,6 +26,7 @@ from fosopt.study.schema_base import (
     PositiveInertia,
     PositiveRatio,
     PositiveTime,
+    Prose,
     ProportionalGain,
     RuleError,
     Section,
@@ -271,7 +272,7 @@ class Study(Section):
     fosopt: Literal[1]
     name: Label
     kind: Literal["codesign", "analysis"] = "codesign"
-    description: str = ""
+    description: Prose = ""
     structure: Structure
     hub: Hub = Hub()
     damping: Damping

@@ -143,10 +143,20 @@ def _label(value: object) -> object:
     return value
 
 
+def _prose(value: object) -> object:
+    if isinstance(value, str):
+        odd = next((c for c in value if not (c.isprintable() or c in "\n\t")), None)
+        if odd is not None:
+            raise RuleError(f"the text contains the control character {odd!r}; remove it")
+    return value
+
+
 Identifier = Annotated[str, BeforeValidator(_identifier)]
 """A name that expressions can use."""
 Label = Annotated[str, BeforeValidator(_label)]
 """A name of a node or member; a whole number counts as its digits."""
+Prose = Annotated[str, BeforeValidator(_prose)]
+"""Text of several lines."""
 
 
 class _ExpressionText:

@@ -14,7 +14,10 @@ function element(tag, attributes = {}, ...children) {
 }
 
 function superscript(exponent) {
-  return String(exponent).replace("+", "").replace("-", "⁻").replace(/\d/g, (digit) => "⁰¹²³⁴⁵⁶⁷⁸⁹"[digit]);
+  return String(exponent)
+    .replace("+", "")
+    .replace("-", "⁻")
+    .replace(/\d/g, (digit) => "⁰¹²³⁴⁵⁶⁷⁸⁹"[digit]);
 }
 
 // Four digits tell two designs apart; more would claim an accuracy the model has not.
@@ -43,7 +46,11 @@ function quantity(name) {
   const base = name.replace(/\[.*$/, "");
   const found = Object.hasOwn(known, name) ? known[name] : Object.hasOwn(known, base) ? known[base] : {};
   const index = name.slice(base.length);
-  const label = found.label ? (Object.hasOwn(known, name) ? found.label : `${found.label} ${index}`.trim()) : null;
+  const label = found.label
+    ? Object.hasOwn(known, name)
+      ? found.label
+      : `${found.label} ${index}`.trim()
+    : null;
   return {
     label: label ?? name.replaceAll("_", " "),
     unit: unitText(found.unit),
@@ -66,7 +73,9 @@ function shown(name, value) {
 
 // A limit was typed by someone; it comes back without the zeros that a measured value carries.
 function trimmed(value, digits = 4) {
-  return number(value, digits).replace(/(\.\d*?)0+(?=$|×)/, "$1").replace(/\.(?=$|×)/, "");
+  return number(value, digits)
+    .replace(/(\.\d*?)0+(?=$|×)/, "$1")
+    .replace(/\.(?=$|×)/, "");
 }
 
 function limit(name, value) {
@@ -95,12 +104,14 @@ function isSound(point) {
 
 function verdict(point) {
   if (isSound(point)) return point.dominated ? "verified, dominated" : "verified";
-  return ["optimal", "evaluated"].includes(point.status) ? "not verified" : point.status ?? "not verified";
+  return ["optimal", "evaluated"].includes(point.status) ? "not verified" : (point.status ?? "not verified");
 }
 
 // Labels and reasons name metrics as a study file does; a reader wants their labels.
 function readable(text) {
-  return String(text).replace(/\b\w+_\w+\b/g, (word) => (Object.hasOwn(run.quantities ?? {}, word) ? quantity(word).label : word));
+  return String(text).replace(/\b\w+_\w+\b/g, (word) =>
+    Object.hasOwn(run.quantities ?? {}, word) ? quantity(word).label : word,
+  );
 }
 
 function titleOf(point) {

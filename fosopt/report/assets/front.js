@@ -1,6 +1,12 @@
 // The overview: the front of two objectives, or bars of a single one.
 
-const STRATEGY_MARKS = [["circle", BLUE], ["square", ORANGE], ["triangle-up", GREEN], ["star", PURPLE], ["hexagon", SKY]];
+const STRATEGY_MARKS = [
+  ["circle", BLUE],
+  ["square", ORANGE],
+  ["triangle-up", GREEN],
+  ["star", PURPLE],
+  ["hexagon", SKY],
+];
 const DOMINATED = "#7b838d";
 // Above this many points the front is drawn by WebGL, as the page's security policy assumes.
 const WEBGL_POINTS = 10000;
@@ -30,19 +36,29 @@ function hasFront() {
 }
 
 function pointText(point) {
-  const values = objectives.map((name, index) => `${plain(quantity(name).label)}: ${plain(shown(name, objective(point, index)))}`);
+  const values = objectives.map(
+    (name, index) => `${plain(quantity(name).label)}: ${plain(shown(name, objective(point, index)))}`,
+  );
   const title = titleOf(point);
-  return [`<b>Point ${plain(point.key)}</b>${title ? ` ${plain(title)}` : ""}`, ...values,
-    `${plain(strategyName(point.strategy ?? ""))} ${plain(verdict(point))}`].join("<br>");
+  return [
+    `<b>Point ${plain(point.key)}</b>${title ? ` ${plain(title)}` : ""}`,
+    ...values,
+    `${plain(strategyName(point.strategy ?? ""))} ${plain(verdict(point))}`,
+  ].join("<br>");
 }
 
 function frontTrace(members, name, more) {
   const [first, second] = [0, 1].map((index) => quantity(objectives[index]).factor);
   return {
-    type: points.length > WEBGL_POINTS ? "scattergl" : "scatter", mode: "markers", name: plain(name),
+    type: points.length > WEBGL_POINTS ? "scattergl" : "scatter",
+    mode: "markers",
+    name: plain(name),
     x: members.map((point) => objective(point, 0) * first),
     y: members.map((point) => (objective(point, 1) === null ? 0 : objective(point, 1) * second)),
-    customdata: members.map((point) => point.key), hoverinfo: "text", hovertext: members.map(pointText), ...more,
+    customdata: members.map((point) => point.key),
+    hoverinfo: "text",
+    hovertext: members.map(pointText),
+    ...more,
   };
 }
 
@@ -51,12 +67,30 @@ function strategyTraces(strategy, index) {
   const members = ordered().filter((point) => (point.strategy ?? "point") === strategy && onFront(point));
   const name = strategyName(strategy);
   const groups = [
-    [members.filter((point) => isSound(point) && !point.dominated), `${name}, verified`,
-      { mode: "lines+markers", line: { color, width: 1, dash: "dot" }, marker: { symbol, color, size: 9 } }],
-    [members.filter((point) => isSound(point) && point.dominated), `${name}, dominated`,
-      { marker: { symbol: `${symbol}-open`, color: index ? color : DOMINATED, size: 9, line: { width: 1.6 } } }],
-    [members.filter((point) => !isSound(point)), `${name}, not verified`,
-      { marker: { symbol: "x", color: VERMILION, size: 9, line: { width: 1, color: index ? color : VERMILION } } }],
+    [
+      members.filter((point) => isSound(point) && !point.dominated),
+      `${name}, verified`,
+      { mode: "lines+markers", line: { color, width: 1, dash: "dot" }, marker: { symbol, color, size: 9 } },
+    ],
+    [
+      members.filter((point) => isSound(point) && point.dominated),
+      `${name}, dominated`,
+      {
+        marker: { symbol: `${symbol}-open`, color: index ? color : DOMINATED, size: 9, line: { width: 1.6 } },
+      },
+    ],
+    [
+      members.filter((point) => !isSound(point)),
+      `${name}, not verified`,
+      {
+        marker: {
+          symbol: "x",
+          color: VERMILION,
+          size: 9,
+          line: { width: 1, color: index ? color : VERMILION },
+        },
+      },
+    ],
   ];
   return groups.filter(([some]) => some.length).map(([some, label, more]) => frontTrace(some, label, more));
 }
@@ -66,40 +100,63 @@ function baselineTraces() {
   const rows = run.comparison ?? [];
   if (run.comparison_objective !== objectives[1]) return [];
   const [first, second] = [0, 1].map((index) => quantity(objectives[index]).factor);
-  return comparedStrategies().filter((name) => !strategies.includes(name)).map((name, index) => {
-    const known = rows.filter((row) => typeof row[name] === "number" && typeof row.at?.[objectives[0]] === "number");
-    const [symbol, color] = STRATEGY_MARKS[(strategies.length + index) % STRATEGY_MARKS.length];
-    return {
-      x: known.map((row) => row.at[objectives[0]] * first), y: known.map((row) => row[name] * second), mode: "lines+markers",
-      name: `${plain(strategyName(name))} (comparison)`, line: { color, width: 1, dash: "dash" },
-      marker: { symbol: `${symbol}-open`, color, size: 8 }, hovertemplate: "%{x:.4g}, %{y:.4g}",
-    };
-  });
+  return comparedStrategies()
+    .filter((name) => !strategies.includes(name))
+    .map((name, index) => {
+      const known = rows.filter(
+        (row) => typeof row[name] === "number" && typeof row.at?.[objectives[0]] === "number",
+      );
+      const [symbol, color] = STRATEGY_MARKS[(strategies.length + index) % STRATEGY_MARKS.length];
+      return {
+        x: known.map((row) => row.at[objectives[0]] * first),
+        y: known.map((row) => row[name] * second),
+        mode: "lines+markers",
+        name: `${plain(strategyName(name))} (comparison)`,
+        line: { color, width: 1, dash: "dash" },
+        marker: { symbol: `${symbol}-open`, color, size: 8 },
+        hovertemplate: "%{x:.4g}, %{y:.4g}",
+      };
+    });
 }
 
 function frontFigure() {
   const [first, second] = [0, 1].map((index) => quantity(objectives[index]).factor);
   const valueless = points.filter((point) => objective(point, 0) !== null && objective(point, 1) === null);
   const data = [...strategies.flatMap(strategyTraces), ...baselineTraces()];
-  const wide = (values) => values.every((value) => value > 0) && Math.max(...values) > 30 * Math.min(...values);
+  const wide = (values) =>
+    values.every((value) => value > 0) && Math.max(...values) > 30 * Math.min(...values);
   const seen = points.filter(onFront);
   const logarithmic = [0, 1].map((index) => wide(seen.map((point) => objective(point, index))));
   const kind = (index) => (logarithmic[index] ? { type: "log" } : {});
-  const shapes = [], annotations = [];
-  [[0, "y", first, "x"], [1, "x", second, "y"]].forEach(([index, across, factor, key]) => {
-    const name = objectives[index], most = requirements[name];
+  const shapes = [],
+    annotations = [];
+  [
+    [0, "y", first, "x"],
+    [1, "x", second, "y"],
+  ].forEach(([index, across, factor, key]) => {
+    const name = objectives[index],
+      most = requirements[name];
     if (typeof most !== "number") return;
     const line = levelLine(most * factor, across, `requirement ${limit(name, most)}`);
     shapes.push(line.shape);
     annotations.push(placed(line, key, logarithmic[index]));
   });
   if (valueless.length) {
-    data.push(frontTrace(valueless, `no ${quantity(objectives[1]).label}`, {
-      yaxis: "y2", marker: { symbol: "triangle-down", color: "#a64500", size: 10 },
-    }));
+    data.push(
+      frontTrace(valueless, `no ${quantity(objectives[1]).label}`, {
+        yaxis: "y2",
+        marker: { symbol: "triangle-down", color: "#a64500", size: 10 },
+      }),
+    );
   }
   data.push({
-    x: [], y: [], mode: "markers", hoverinfo: "skip", showlegend: false, name: "selected", cliponaxis: false,
+    x: [],
+    y: [],
+    mode: "markers",
+    hoverinfo: "skip",
+    showlegend: false,
+    name: "selected",
+    cliponaxis: false,
     marker: { symbol: "circle-open", size: 19, color: INK, line: { width: 2.4 } },
   });
   return {
@@ -107,12 +164,23 @@ function frontFigure() {
     layout: layout({
       xaxis: axis(heading(objectives[0]), { ...kind(0), mirror: valueless.length ? "all" : true }),
       yaxis: axis(heading(objectives[1]), { ...kind(1), domain: [0, valueless.length ? 0.9 : 1] }),
-      ...(valueless.length ? {
-        yaxis2: axis("", {
-          domain: [0.93, 1], range: [-1, 1], tickvals: [0], ticktext: ["no value"], ticks: "", showgrid: false, fixedrange: true,
-        }),
-      } : {}),
-      shapes, annotations, showlegend: true, margin: { l: 64, r: 14, t: 12, b: 48 },
+      ...(valueless.length
+        ? {
+            yaxis2: axis("", {
+              domain: [0.93, 1],
+              range: [-1, 1],
+              tickvals: [0],
+              ticktext: ["no value"],
+              ticks: "",
+              showgrid: false,
+              fixedrange: true,
+            }),
+          }
+        : {}),
+      shapes,
+      annotations,
+      showlegend: true,
+      margin: { l: 64, r: 14, t: 12, b: 48 },
       legend: { orientation: "h", x: 0, y: -0.16, yanchor: "top", font: { size: 11.5 } },
     }),
   };
@@ -123,7 +191,11 @@ function ringOf(point) {
   if (objective(point, 0) === null) return { x: [[]], y: [[]], yaxis: "y" };
   const [first, second] = [0, 1].map((index) => quantity(objectives[index]).factor);
   const y = objective(point, 1);
-  return { x: [[objective(point, 0) * first]], y: [[y === null ? 0 : y * second]], yaxis: y === null ? "y2" : "y" };
+  return {
+    x: [[objective(point, 0) * first]],
+    y: [[y === null ? 0 : y * second]],
+    yaxis: y === null ? "y2" : "y",
+  };
 }
 
 // One objective: a bar for each point.
@@ -133,24 +205,40 @@ function barsFigure(selectedKey) {
   const { factor } = quantity(objectives[0]);
   const where = rows.map((_, index) => index);
   const most = requirements[objectives[0]];
-  const line = typeof most === "number" ? levelLine(most * factor, "y", `requirement ${limit(objectives[0], most)}`) : null;
+  const line =
+    typeof most === "number"
+      ? levelLine(most * factor, "y", `requirement ${limit(objectives[0], most)}`)
+      : null;
   const sound = rows.map(isSound);
   const furthest = Math.max(...rows.map((point) => objective(point, 0)), most ?? 0) * factor;
   return {
-    data: [{
-      type: "bar", orientation: "h", width: 0.62, y: where, x: rows.map((point) => objective(point, 0) * factor),
-      customdata: rows.map((point) => point.key), hoverinfo: "text", hovertext: rows.map(pointText), textposition: "outside",
-      text: rows.map((point) => plain(shown(objectives[0], objective(point, 0)))), cliponaxis: false,
-      marker: {
-        color: sound.map((good) => (good ? BLUE : VERMILION)),
-        pattern: { shape: sound.map((good) => (good ? "" : "/")), fgcolor: PAPER },
-        line: { color: INK, width: rows.map((point) => (point.key === selectedKey ? 2.4 : 0)) },
+    data: [
+      {
+        type: "bar",
+        orientation: "h",
+        width: 0.62,
+        y: where,
+        x: rows.map((point) => objective(point, 0) * factor),
+        customdata: rows.map((point) => point.key),
+        hoverinfo: "text",
+        hovertext: rows.map(pointText),
+        textposition: "outside",
+        text: rows.map((point) => plain(shown(objectives[0], objective(point, 0)))),
+        cliponaxis: false,
+        marker: {
+          color: sound.map((good) => (good ? BLUE : VERMILION)),
+          pattern: { shape: sound.map((good) => (good ? "" : "/")), fgcolor: PAPER },
+          line: { color: INK, width: rows.map((point) => (point.key === selectedKey ? 2.4 : 0)) },
+        },
       },
-    }],
+    ],
     layout: layout({
       xaxis: axis(heading(objectives[0]), furthest > 0 ? { range: [0, 1.2 * furthest] } : {}),
       yaxis: axis("", {
-        tickvals: where, ticktext: rows.map((point) => plain(titleOf(point) || point.key)), ticks: "", showgrid: false,
+        tickvals: where,
+        ticktext: rows.map((point) => plain(titleOf(point) || point.key)),
+        ticks: "",
+        showgrid: false,
         range: [-0.6, rows.length - 0.4],
       }),
       shapes: line ? [line.shape] : [],

@@ -1,7 +1,9 @@
 // The page: fills the header and the overview once, and the rest anew for each selected point.
 
 const CONFIG = {
-  responsive: true, displaylogo: false, modeBarButtonsToRemove: ["select2d", "lasso2d", "autoScale2d"],
+  responsive: true,
+  displaylogo: false,
+  modeBarButtonsToRemove: ["select2d", "lasso2d", "autoScale2d"],
   // Without a pointer that hovers the tools would cover every figure for good.
   displayModeBar: matchMedia("(hover: hover)").matches ? "hover" : false,
 };
@@ -11,14 +13,50 @@ const PANELS = [
   ["structure", "full", "", structureCaption, structureFigure],
   ["metrics", "half", null, () => "Metrics of this point.", metricsTable],
   ["variables", "half", null, () => "Design variables; a range opens to its values.", variablesTable],
-  ["history", "half", "", () => "Convergence: objective as the solver sees it, and largest constraint violation.", historyFigure],
-  ["constraints", "full", null, () => "Constraints, with the slack to the nearer bound and the multiplier of the active ones.", constraintsTable],
-  ["jitter", "half", "", () => "Line-of-sight jitter by source; they add as root sum of squares. In percent: the share of the variance.", jitterFigure],
-  ["cumulative", "half", "", () => "Cumulative jitter: root mean square of all that lies below a frequency.", cumulativeFigure],
-  ["bode", "half", "tall", () => "Loop transfer L: magnitude and phase. Dotted: 0 dB and −180° (plus whole turns).", bodeFigure],
+  [
+    "history",
+    "half",
+    "",
+    () => "Convergence: objective as the solver sees it, and largest constraint violation.",
+    historyFigure,
+  ],
+  [
+    "constraints",
+    "full",
+    null,
+    () => "Constraints, with the slack to the nearer bound and the multiplier of the active ones.",
+    constraintsTable,
+  ],
+  [
+    "jitter",
+    "half",
+    "",
+    () => "Line-of-sight jitter by source; they add as root sum of squares. Percent: share of the variance.",
+    jitterFigure,
+  ],
+  [
+    "cumulative",
+    "half",
+    "",
+    () => "Cumulative jitter: root mean square of all that lies below a frequency.",
+    cumulativeFigure,
+  ],
+  [
+    "bode",
+    "half",
+    "tall",
+    () => "Loop transfer L: magnitude and phase. Dotted: 0 dB and −180° (plus whole turns).",
+    bodeFigure,
+  ],
   ["sensitivity", "half", "tall", sensitivityCaption, sensitivityFigure],
   ["step", "half", "", () => "Response to a step command.", stepFigure],
-  ["poles", "half", "", () => "Closed-loop poles, one of each conjugate pair: natural frequency and damping ratio.", polesFigure],
+  [
+    "poles",
+    "half",
+    "",
+    () => "Closed-loop poles, one of each conjugate pair: natural frequency and damping ratio.",
+    polesFigure,
+  ],
   ["modes", "full", null, modesCaption, modesTable],
 ];
 
@@ -33,15 +71,20 @@ function structureCaption(point) {
   if (!truss) return "";
   const { unit, factor } = areaUnit();
   const range = span(scaled(truss.areas, factor));
-  const areas = range.size > 1e-9 * range.most ? `${number(range.least)} to ${withUnit(number(range.most), unit)}` : withUnit(number(range.most), unit);
-  return `Truss of ${truss.bars.length} bars, areas ${areas}. Line width grows with the square root of the area, as a bar's diameter `
-    + `does; color shows the area. Gray: battens.${isSlender(truss) ? " Below: area at the middle of each bar." : ""}`;
+  const areas =
+    range.size > 1e-9 * range.most
+      ? `${number(range.least)} to ${withUnit(number(range.most), unit)}`
+      : withUnit(number(range.most), unit);
+  return (
+    `Truss of ${truss.bars.length} bars, areas ${areas}. Line width grows with the square root of the area, ` +
+    `as a bar's diameter does; color shows the area. Gray: battens.${isSlender(truss) ? " Below: area at the middle of each bar." : ""}`
+  );
 }
 
 function sensitivityCaption(point) {
   return point.status === "unstable"
-    ? "Sensitivity S and complementary sensitivity T. The closed loop is unstable: these curves bound no margin."
-    : "Sensitivity S and complementary sensitivity T; the peak of |S| is the reciprocal of the modulus margin.";
+    ? "Sensitivity S and complementary sensitivity T of an unstable closed loop: they bound no margin."
+    : "Sensitivity S and complementary sensitivity T; the peak of |S| is one over the modulus margin.";
 }
 
 function draw(id, figure) {
@@ -58,11 +101,15 @@ function makePanels() {
   for (const [id, width, height] of PANELS) {
     const caption = element("figcaption", { id: `${id}-caption` });
     const holder = { id, "aria-labelledby": `${id}-caption`, role: height === null ? "region" : "img" };
-    const content = height === null
-      ? element("div", { ...holder, class: `scroll ${id === "modes" ? "limited" : ""}`, tabindex: "0" })
-      : element("div", { ...holder, class: `plot ${height}` });
+    const content =
+      height === null
+        ? element("div", { ...holder, class: `scroll ${id === "modes" ? "limited" : ""}`, tabindex: "0" })
+        : element("div", { ...holder, class: `plot ${height}` });
     const body = height === null ? content : element("div", { class: "scroll" }, content);
-    const figure = element("figure", { class: `${width} ${height === null ? "tabular" : ""}`, id: `${id}-panel` });
+    const figure = element("figure", {
+      class: `${width} ${height === null ? "tabular" : ""}`,
+      id: `${id}-panel`,
+    });
     // A table's caption stands above it, a figure's below, as in print.
     figure.append(...(height === null ? [caption, body] : [body, caption]));
     at("figures").append(figure);
@@ -84,14 +131,26 @@ function fillPanel([id, , height, caption, make], point) {
 function facts(point) {
   const parent = point.parent !== null && point.parent !== undefined ? byKey.get(String(point.parent)) : null;
   const known = [
-    ["State", mark(point)], ["Status", point.status], ["Strategy", point.strategy && strategyName(point.strategy)], ["Case", point.case],
-    ["Started from", parent && pick(parent.key, `point ${parent.key}`)], ["Iterations", point.iterations],
+    ["State", mark(point)],
+    ["Status", point.status],
+    ["Strategy", point.strategy && strategyName(point.strategy)],
+    ["Case", point.case],
+    ["Started from", parent && pick(parent.key, `point ${parent.key}`)],
+    ["Iterations", point.iterations],
     ["Time", typeof point.seconds === "number" ? `${number(point.seconds, 3)}\u00a0s` : null],
     ["Starts that agree", point.starts ? `${point.starts.agreed} of ${point.starts.tried}` : null],
     ["KKT residual", typeof point.kkt_residual === "number" ? number(point.kkt_residual, 2) : null],
   ];
-  return known.filter(([, value]) => value !== null && value !== undefined && value !== "").map(([term, value]) =>
-    element("div", {}, element("dt", {}, term), element("dd", {}, value instanceof Node ? value : String(value))));
+  return known
+    .filter(([, value]) => value !== null && value !== undefined && value !== "")
+    .map(([term, value]) =>
+      element(
+        "div",
+        {},
+        element("dt", {}, term),
+        element("dd", {}, value instanceof Node ? value : String(value)),
+      ),
+    );
 }
 
 function pick(key, text) {
@@ -99,19 +158,22 @@ function pick(key, text) {
 }
 
 function valuesOf(point) {
-  return objectives.map((name, index) => {
-    const value = objective(point, index);
-    return `${quantity(name).label} ${value === null ? "without a value" : shown(name, value)}`;
-  }).join(", ");
+  return objectives
+    .map((name, index) => {
+      const value = objective(point, index);
+      return `${quantity(name).label} ${value === null ? "without a value" : shown(name, value)}`;
+    })
+    .join(", ");
 }
 
 function showPoint() {
-  const point = selected, title = titleOf(point);
+  const point = selected,
+    title = titleOf(point);
   at("selected-title").textContent = `Point ${point.key}${title ? `: ${title}` : ""}`;
   at("bar-text").textContent = `Point ${point.key} · ${valuesOf(point)} · ${verdict(point)}`;
   at("facts").replaceChildren(...facts(point));
   const unwell = !isSound(point);
-  const reason = point.reason ?? (unwell ? `No reason was recorded for the state “${verdict(point)}”.` : "");
+  const reason = point.reason ?? (unwell ? `No reason was recorded.` : "");
   at("reason").hidden = !reason;
   at("reason").textContent = reason ? `${capital(verdict(point))}: ${readable(reason)}` : "";
   if (hasFront()) Plotly.restyle("front", ringOf(point), [at("front").data.length - 1]);
@@ -138,7 +200,8 @@ function select(key, { link = true } = {}) {
 
 // Scrolls the table alone: the page stays where the reader is.
 function keepInView(row) {
-  const box = at("points"), head = box.querySelector("thead").offsetHeight;
+  const box = at("points"),
+    head = box.querySelector("thead").offsetHeight;
   const [top, bottom] = [row.offsetTop - head, row.offsetTop + row.offsetHeight];
   if (top < box.scrollTop) box.scrollTop = top;
   else if (bottom > box.scrollTop + box.clientHeight) box.scrollTop = bottom - box.clientHeight;
@@ -149,14 +212,16 @@ function step(by) {
   const next = order[order.indexOf(selected) + by];
   if (!next) return;
   select(next.key);
-  if (at("points").contains(document.activeElement)) at("points").querySelector("tr.current button").focus({ preventScroll: true });
+  if (at("points").contains(document.activeElement))
+    at("points").querySelector("tr.current button").focus({ preventScroll: true });
 }
 
 function onKey(event) {
   if (event.altKey || event.ctrlKey || event.metaKey || event.shiftKey) return;
   const inPoints = at("points").contains(event.target);
   // Elsewhere arrows keep their meaning: they scroll the page or a wide table.
-  const owned = event.target === document.body || at("bar").contains(event.target) || at("front").contains(event.target);
+  const owned =
+    event.target === document.body || at("bar").contains(event.target) || at("front").contains(event.target);
   const by = { ArrowLeft: -1, ArrowRight: 1, ...(inPoints ? { ArrowUp: -1, ArrowDown: 1 } : {}) }[event.key];
   if (!by || !(inPoints || owned)) return;
   event.preventDefault();
@@ -175,20 +240,32 @@ function fromAddress() {
 
 // Without a link the middle of the first strategy's verified points stands for the front.
 function firstShown() {
-  const good = ordered().filter((point) => isSound(point) && !point.dominated && point.strategy === points[0].strategy);
+  const good = ordered().filter(
+    (point) => isSound(point) && !point.dominated && point.strategy === points[0].strategy,
+  );
   return good[Math.floor((good.length - 1) / 2)] ?? ordered()[0];
 }
 
 function summary() {
   const sound = points.filter(isSound);
-  const count = points.length === 1 ? `One ${run.kind === "analysis" ? "design" : "point"}` : `${points.length} points`;
-  const verified = points.length === 1 ? (sound.length ? "verified" : verdict(points[0])) : `${sound.length} of them verified`;
+  const count =
+    points.length === 1 ? `One ${run.kind === "analysis" ? "design" : "point"}` : `${points.length} points`;
+  const verified =
+    points.length === 1
+      ? sound.length
+        ? "verified"
+        : verdict(points[0])
+      : `${sound.length} of them verified`;
   const best = objectives.flatMap((name, index) => {
     const known = sound.filter((point) => objective(point, index) !== null);
     if (!known.length) return [];
     const least = known.reduce((a, b) => (objective(b, index) < objective(a, index) ? b : a));
     const value = shown(name, objective(least, index));
-    return [points.length === 1 ? `${quantity(name).label} ${value}` : `least ${quantity(name).label} ${value} (point ${least.key})`];
+    return [
+      points.length === 1
+        ? `${quantity(name).label} ${value}`
+        : `least ${quantity(name).label} ${value} (point ${least.key})`,
+    ];
   });
   return `${count}, ${verified}${best.length ? `: ${best.join("; ")}` : ""}.`;
 }
@@ -200,19 +277,24 @@ function showOverview() {
   if (hasFront()) {
     const [first, second] = objectives.map((name) => quantity(name).label);
     at("overview-title").textContent = `${capital(second)} against ${first}`;
-    at("front-caption").textContent = "Filled marks are verified, open ones dominated, crosses not verified; a ring marks the selected "
-      + `point. ${points.some((point) => objective(point, 0) !== null && objective(point, 1) === null) ? "The strip on top holds points that have no value to plot. " : ""}`
-      + "The dotted line joins points and promises nothing between them.";
+    const valueless = points.some((point) => objective(point, 0) !== null && objective(point, 1) === null);
+    at("front-caption").textContent = [
+      "Filled marks are verified, open ones dominated, crosses not verified; a ring marks the selected point.",
+      ...(valueless ? ["The strip on top holds points that have no value to plot."] : []),
+      "The dotted line joins points and promises nothing between them.",
+    ].join(" ");
     return draw("front", frontFigure());
   }
-  at("overview-title").textContent = objectives.length === 1 ? capital(quantity(objectives[0]).label) : "Points";
+  at("overview-title").textContent =
+    objectives.length === 1 ? capital(quantity(objectives[0]).label) : "Points";
   const bars = objectives.length ? barsFigure(null) : null;
   if (!bars) {
     at("front").closest("figure").remove();
     at("overview").querySelector(".overview").classList.add("single");
     return null;
   }
-  at("front-caption").textContent = `${capital(quantity(objectives[0]).label)} of each point; hatched bars are not verified.`;
+  at("front-caption").textContent =
+    `${capital(quantity(objectives[0]).label)} of each point; hatched bars are not verified.`;
   at("front").classList.remove("tall");
   return draw("front", bars);
 }
@@ -221,7 +303,9 @@ function showOverview() {
 function fitToPaper(printing) {
   document.documentElement.classList.toggle("printing", printing);
   for (const id of drawn) {
-    const size = printing ? { autosize: false, width: at(id).clientWidth, height: at(id).clientHeight } : { autosize: true, width: null, height: null };
+    const size = printing
+      ? { autosize: false, width: at(id).clientWidth, height: at(id).clientHeight }
+      : { autosize: true, width: null, height: null };
     Plotly.relayout(id, size);
   }
 }
@@ -249,12 +333,15 @@ function listen() {
 }
 
 function definitions(entries) {
-  return entries.map(([term, value]) => element("div", {}, element("dt", {}, term), element("dd", {}, String(value))));
+  return entries.map(([term, value]) =>
+    element("div", {}, element("dt", {}, term), element("dd", {}, String(value))),
+  );
 }
 
 function start() {
   document.title = run.name ? `${run.name} · fosopt` : "fosopt report";
-  at("kicker").textContent = run.kind === "analysis" ? "fosopt · design analysis" : "fosopt · co-design study";
+  at("kicker").textContent =
+    run.kind === "analysis" ? "fosopt · design analysis" : "fosopt · co-design study";
   at("name").textContent = run.name || "fosopt report";
   at("description").textContent = run.description ?? "";
   at("summary").textContent = points.length ? summary() : "This run has no points.";

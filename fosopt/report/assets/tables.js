@@ -2,8 +2,13 @@
 
 function table(caption, heads, rows, className = "") {
   const head = heads.map(([text, kind]) => element("th", { scope: "col", class: kind ?? "" }, text));
-  return element("table", { class: className }, element("caption", { class: "aside" }, caption),
-    element("thead", {}, element("tr", {}, ...head)), element("tbody", {}, ...rows));
+  return element(
+    "table",
+    { class: className },
+    element("caption", { class: "aside" }, caption),
+    element("thead", {}, element("tr", {}, ...head)),
+    element("tbody", {}, ...rows),
+  );
 }
 
 function cell(content, kind = "") {
@@ -17,13 +22,17 @@ function rowHead(...content) {
 function mark(point) {
   const kind = isSound(point) ? (point.dominated ? "dominated" : "sound") : "unsound";
   const glyph = { sound: "●", dominated: "○", unsound: "✕" }[kind];
-  return element("span", { class: `mark ${kind}` }, element("span", { "aria-hidden": "true" }, `${glyph} `), verdict(point));
+  return element(
+    "span",
+    { class: `mark ${kind}` },
+    element("span", { "aria-hidden": "true" }, `${glyph}\u00a0`),
+    verdict(point),
+  );
 }
 
 function pointsTable() {
   const several = strategies.length > 1;
-  const heads = [["Point"], ["Design"],
-    ...objectives.map((name) => [heading(name), "n"]), ["State"]];
+  const heads = [["Point"], ["Design"], ...objectives.map((name) => [heading(name), "n"]), ["State"]];
   const rows = ordered().map((point) => {
     const button = element("button", { type: "button", class: "pick", "data-key": point.key }, point.key);
     button.setAttribute("aria-label", `Select point ${point.key}`);
@@ -31,29 +40,59 @@ function pointsTable() {
       const value = objective(point, index);
       return cell(number(value === null ? null : value * quantity(name).factor), "n");
     });
-    return element("tr", { "data-key": point.key }, rowHead(button),
-      cell([several ? strategyName(point.strategy ?? "") : "", element("span", { class: "label" }, titleOf(point))]), ...values, cell(mark(point)));
+    return element(
+      "tr",
+      { "data-key": point.key },
+      rowHead(button),
+      cell([
+        several ? strategyName(point.strategy ?? "") : "",
+        element("span", { class: "label" }, titleOf(point)),
+      ]),
+      ...values,
+      cell(mark(point)),
+    );
   });
   return table("Points of the study", heads, rows, "points");
 }
 
 function casesTable(cases) {
-  const name = objectives[0], first = objective(cases[0], 0);
-  const shared = [...new Set(cases.flatMap((point) => Object.keys(point.metrics ?? {})))]
-    .filter((metric) => metric !== name && (metric in requirements || ["structural_mass", "jitter_total", "modulus_margin"].includes(metric)));
+  const name = objectives[0],
+    first = objective(cases[0], 0);
+  const shared = [...new Set(cases.flatMap((point) => Object.keys(point.metrics ?? {})))].filter(
+    (metric) =>
+      metric !== name &&
+      (metric in requirements || ["structural_mass", "jitter_total", "modulus_margin"].includes(metric)),
+  );
   const rows = cases.map((point) => {
     const value = objective(point, 0);
-    const change = value !== null && first ? 100 * (value - first) / Math.abs(first) : null;
+    const change = value !== null && first ? (100 * (value - first)) / Math.abs(first) : null;
     const active = (point.constraints ?? []).filter((constraint) => constraint.active);
-    return element("tr", { "data-key": point.key },
+    return element(
+      "tr",
+      { "data-key": point.key },
       rowHead(element("button", { type: "button", class: "pick", "data-key": point.key }, point.case)),
       cell(value === null ? missing : number(value * quantity(name).factor), "n"),
-      cell(change === null || point === cases[0] ? missing : `${change > 0 ? "+" : ""}${number(change, 3)} %`, "n"),
+      cell(
+        change === null || point === cases[0] ? missing : `${change > 0 ? "+" : ""}${number(change, 3)} %`,
+        "n",
+      ),
       ...shared.map((metric) => cell(metricNumber(metric, point.metrics?.[metric]), "n")),
-      cell(active.map((constraint) => quantity(constraint.name).label).join(", ") || "none"), cell(mark(point)));
+      cell(active.map((constraint) => quantity(constraint.name).label).join(", ") || "none"),
+      cell(mark(point)),
+    );
   });
-  return table("Cases", [["Case"], [heading(name), "n"], ["Change from first", "n"],
-    ...shared.map((metric) => [heading(metric), "n"]), ["Active constraints"], ["State"]], rows);
+  return table(
+    "Cases",
+    [
+      ["Case"],
+      [heading(name), "n"],
+      ["Change from first", "n"],
+      ...shared.map((metric) => [heading(metric), "n"]),
+      ["Active constraints"],
+      ["State"],
+    ],
+    rows,
+  );
 }
 
 function metricNumber(name, value) {
@@ -71,37 +110,59 @@ function comparedStrategies() {
 // How much less simultaneous design reaches than another strategy at the same first objective.
 function gain(row, other) {
   const [ours, theirs] = [row.simultaneous, row[other]];
-  return typeof ours === "number" && typeof theirs === "number" && theirs !== 0 ? 100 * (theirs - ours) / Math.abs(theirs) : null;
+  return typeof ours === "number" && typeof theirs === "number" && theirs !== 0
+    ? (100 * (theirs - ours)) / Math.abs(theirs)
+    : null;
 }
 
 function comparisonTable() {
-  const names = comparedStrategies(), others = names.filter((name) => name !== "simultaneous");
+  const names = comparedStrategies(),
+    others = names.filter((name) => name !== "simultaneous");
   const at = [...new Set(run.comparison.flatMap((row) => Object.keys(row.at ?? {})))];
   const target = run.comparison_objective ?? objectives[1] ?? objectives[0];
   const { unit } = quantity(target);
-  const rows = run.comparison.map((row) => element("tr", {},
-    ...at.map((name) => cell(metricNumber(name, row.at?.[name]), "n")),
-    ...names.map((name) => cell(metricNumber(target, row[name]), "n")),
-    ...others.map((name) => {
-      const percent = gain(row, name);
-      return cell(percent === null ? missing : `${number(percent, 3)} %`, "n strong");
-    })));
+  const rows = run.comparison.map((row) =>
+    element(
+      "tr",
+      {},
+      ...at.map((name) => cell(metricNumber(name, row.at?.[name]), "n")),
+      ...names.map((name) => cell(metricNumber(target, row[name]), "n")),
+      ...others.map((name) => {
+        const percent = gain(row, name);
+        return cell(percent === null ? missing : `${number(percent, 3)} %`, "n strong");
+      }),
+    ),
+  );
   const suffix = unit ? ` (${unit})` : "";
-  return table(`${quantity(target).label} by strategy`, [...at.map((name) => [`At ${quantity(name).label}${quantity(name).unit ? ` (${quantity(name).unit})` : ""}`, "n"]),
-    ...names.map((name) => [`${capital(strategyName(name))}${suffix}`, "n"]),
-    ...others.map((name) => [`Gain over ${strategyName(name)}`, "n"])], rows);
+  return table(
+    `${quantity(target).label} by strategy`,
+    [
+      ...at.map((name) => [
+        `At ${quantity(name).label}${quantity(name).unit ? ` (${quantity(name).unit})` : ""}`,
+        "n",
+      ]),
+      ...names.map((name) => [`${capital(strategyName(name))}${suffix}`, "n"]),
+      ...others.map((name) => [`Gain over ${strategyName(name)}`, "n"]),
+    ],
+    rows,
+  );
 }
 
 function comparisonText() {
   const target = run.comparison_objective ?? objectives[1] ?? objectives[0];
-  const sentences = comparedStrategies().filter((name) => name !== "simultaneous").flatMap((name) => {
-    const gains = run.comparison.map((row) => gain(row, name)).filter((value) => value !== null);
-    if (!gains.length) return [];
-    const [least, most] = [Math.min(...gains), Math.max(...gains)];
-    const range = least === most ? `${number(most, 3)} %` : `${number(least, 3)} to ${number(most, 3)} %`;
-    return [`Simultaneous design gains ${range} over ${strategyName(name)} design.`];
-  });
-  return [`${capital(quantity(target).label)} that each strategy reaches at the same point of the front.`, ...sentences].join(" ");
+  const sentences = comparedStrategies()
+    .filter((name) => name !== "simultaneous")
+    .flatMap((name) => {
+      const gains = run.comparison.map((row) => gain(row, name)).filter((value) => value !== null);
+      if (!gains.length) return [];
+      const [least, most] = [Math.min(...gains), Math.max(...gains)];
+      const range = least === most ? `${number(most, 3)} %` : `${number(least, 3)} to ${number(most, 3)} %`;
+      return [`Simultaneous design gains ${range} over ${strategyName(name)} design.`];
+    });
+  return [
+    `${capital(quantity(target).label)} that each strategy reaches at the same point of the front.`,
+    ...sentences,
+  ].join(" ");
 }
 
 // A bar from zero to the value; left of zero for negative inertias, which mark nonminimum phase.
@@ -109,9 +170,10 @@ function signedBar(value, scale) {
   const outer = element("span", { class: "gauge", "aria-hidden": "true" });
   if (typeof value !== "number") return outer;
   const inner = element("span", { class: value < 0 ? "negative" : "positive" });
-  const { low, high } = scale, width = high - low || 1;
-  inner.style.left = `${100 * ((value < 0 ? value : 0) - low) / width}%`;
-  inner.style.width = `${100 * Math.abs(value) / width}%`;
+  const { low, high } = scale,
+    width = high - low || 1;
+  inner.style.left = `${(100 * ((value < 0 ? value : 0) - low)) / width}%`;
+  inner.style.width = `${(100 * Math.abs(value)) / width}%`;
   outer.append(inner);
   return outer;
 }
@@ -119,39 +181,90 @@ function signedBar(value, scale) {
 function modesTable(point) {
   const modes = point.detail?.modes ?? [];
   if (!modes.length) return null;
-  const inertias = modes.map((mode) => mode.effective_modal_reaction_inertia).filter((value) => typeof value === "number");
+  const inertias = modes
+    .map((mode) => mode.effective_modal_reaction_inertia)
+    .filter((value) => typeof value === "number");
   const scale = { low: Math.min(0, ...inertias), high: Math.max(0, ...inertias) };
-  const rows = modes.map((mode) => element("tr", {},
-    rowHead(String(mode.index)), cell(number(mode.frequency_hz), "n"),
-    cell(number(typeof mode.damping_ratio === "number" ? 100 * mode.damping_ratio : null, 3), "n"),
-    cell(number(mode.effective_modal_reaction_inertia), "n"),
-    cell(signedBar(mode.effective_modal_reaction_inertia, scale), "bars"),
-    cell(number(mode.pole_zero_separation, 6), "n"), cell(number(mode.modal_inertia), "n")));
-  return table("Modes of the coupled system", [["k"], ["Frequency (Hz)", "n"], ["Damping (%)", "n"], ["J̄ₖ", "n"],
-    ["", "bars"], ["βₖ", "n"], ["Modal inertia (kg m²)", "n"]], rows);
+  const rows = modes.map((mode) =>
+    element(
+      "tr",
+      {},
+      rowHead(String(mode.index)),
+      cell(number(mode.frequency_hz), "n"),
+      cell(number(typeof mode.damping_ratio === "number" ? 100 * mode.damping_ratio : null, 3), "n"),
+      cell(number(mode.effective_modal_reaction_inertia), "n"),
+      cell(signedBar(mode.effective_modal_reaction_inertia, scale), "bars"),
+      cell(number(mode.pole_zero_separation, 6), "n"),
+      cell(number(mode.modal_inertia), "n"),
+    ),
+  );
+  return table(
+    "Modes of the coupled system",
+    [
+      ["k"],
+      ["Frequency (Hz)", "n"],
+      ["Damping (%)", "n"],
+      ["J̄ₖ", "n"],
+      ["", "bars"],
+      ["βₖ", "n"],
+      ["Modal inertia (kg m²)", "n"],
+    ],
+    rows,
+  );
 }
 
 function modesCaption(point) {
   const values = (point.detail?.modes ?? []).map((mode) => mode.effective_modal_reaction_inertia);
   const sum = values.reduce((total, value) => total + (value ?? 0), 0);
-  return "Modes of the coupled system: effective modal reaction inertia J̄ₖ (its bar runs left of zero when negative), "
-    + `pole-zero separation βₖ and modal inertia. The J̄ₖ listed sum to ${number(sum)}; over all modes the sum is one.`;
+  return (
+    "Modes of the coupled system: effective modal reaction inertia J̄ₖ (its bar runs left when negative), " +
+    `pole-zero separation βₖ and modal inertia. These J̄ₖ sum to ${number(sum)}; all modes together, to one.`
+  );
 }
 
 function constraintsTable(point) {
   const constraints = point.constraints ?? [];
   if (!constraints.length) return null;
   const rows = constraints.map(({ name, value, lower, upper, slack, multiplier, active, statement }) => {
-    const violated = typeof slack === "number" && slack < -1e-6 * Math.max(Math.abs(value ?? 0), Number.MIN_VALUE);
-    const state = violated ? "violated" : active ? "active" : typeof value === "number" ? "inactive" : missing;
-    const glyph = { violated: "✕ ", active: "● " }[state] ?? "";
-    const bounds = [typeof lower === "number" ? `≥ ${limit(name, lower)}` : "", typeof upper === "number" ? `≤ ${limit(name, upper)}` : ""];
-    return element("tr", { class: state }, rowHead(capital(quantity(name).label)), cell(shown(name, value), "n"),
-      cell(bounds.filter(Boolean).join(", "), "n"), cell(shown(name, slack), "n"), cell(number(multiplier), "n"),
-      cell(element("span", { class: `mark ${violated ? "unsound" : ""}` }, `${glyph}${state}`)), cell(readable(statement ?? ""), "sentence"));
+    const violated =
+      typeof slack === "number" && slack < -1e-6 * Math.max(Math.abs(value ?? 0), Number.MIN_VALUE);
+    const state = violated
+      ? "violated"
+      : active
+        ? "active"
+        : typeof value === "number"
+          ? "inactive"
+          : missing;
+    const glyph = { violated: "✕\u00a0", active: "●\u00a0" }[state] ?? "";
+    const bounds = [
+      typeof lower === "number" ? `≥ ${limit(name, lower)}` : "",
+      typeof upper === "number" ? `≤ ${limit(name, upper)}` : "",
+    ];
+    return element(
+      "tr",
+      { class: state },
+      rowHead(capital(quantity(name).label)),
+      cell(shown(name, value), "n"),
+      cell(bounds.filter(Boolean).join(", "), "n"),
+      cell(shown(name, slack), "n"),
+      cell(number(multiplier), "n"),
+      cell(element("span", { class: `mark ${violated ? "unsound" : ""}` }, `${glyph}${state}`)),
+      cell(readable(statement ?? ""), "sentence"),
+    );
   });
-  return table("Constraints", [["Constraint"], ["Value", "n"], ["Bound", "n"], ["Slack", "n"], ["Multiplier", "n"], ["State"],
-    ["What it costs"]], rows);
+  return table(
+    "Constraints",
+    [
+      ["Constraint"],
+      ["Value", "n"],
+      ["Bound", "n"],
+      ["Slack", "n"],
+      ["Multiplier", "n"],
+      ["State"],
+      ["What it costs"],
+    ],
+    rows,
+  );
 }
 
 function variablesTable(point) {
@@ -161,10 +274,24 @@ function variablesTable(point) {
     const { unit, factor } = quantity(name);
     const values = scaled([point.variables[name]].flat(), factor);
     const few = values.length <= 4;
-    const content = few ? [values.map((value) => number(value)).join(", ")] : [element("details", {},
-      element("summary", {}, `${number(Math.min(...values))} to ${number(Math.max(...values))}`),
-      values.map((value) => number(value)).join(", "))];
-    return element("tr", {}, rowHead(capital(quantity(name).label)), cell(String(values.length), "n"), cell(content, "n values"), cell(unit, "unit"));
+    const content = few
+      ? [values.map((value) => number(value)).join(", ")]
+      : [
+          element(
+            "details",
+            {},
+            element("summary", {}, `${number(Math.min(...values))} to ${number(Math.max(...values))}`),
+            values.map((value) => number(value)).join(", "),
+          ),
+        ];
+    return element(
+      "tr",
+      {},
+      rowHead(capital(quantity(name).label)),
+      cell(String(values.length), "n"),
+      cell(content, "n values"),
+      cell(unit, "unit"),
+    );
   });
   return table("Design variables", [["Variable"], ["Values", "n"], ["", "n"], ["Unit"]], rows);
 }
@@ -174,12 +301,27 @@ function metricsTable(point) {
   if (!names.length) return null;
   const judged = names.some((name) => name in requirements);
   const rows = names.map((name) => {
-    const value = point.metrics[name], most = requirements[name];
+    const value = point.metrics[name],
+      most = requirements[name];
     const met = typeof value === "number" && typeof most === "number" ? value <= most : null;
     const verdictText = met === null ? "" : `${met ? "● met" : "✕ exceeded"}`;
-    return element("tr", {}, rowHead(capital(quantity(name).label)), cell(metricNumber(name, value), "n"), cell(quantity(name).unit, "unit"),
-      ...(judged ? [cell(typeof most === "number" ? `≤ ${limit(name, most)}` : "", "n"),
-        cell(element("span", { class: `mark ${met === false ? "unsound" : "sound"}` }, verdictText))] : []));
+    return element(
+      "tr",
+      {},
+      rowHead(capital(quantity(name).label)),
+      cell(metricNumber(name, value), "n"),
+      cell(quantity(name).unit, "unit"),
+      ...(judged
+        ? [
+            cell(typeof most === "number" ? `≤ ${limit(name, most)}` : "", "n"),
+            cell(element("span", { class: `mark ${met === false ? "unsound" : "sound"}` }, verdictText)),
+          ]
+        : []),
+    );
   });
-  return table("Metrics", [["Metric"], ["Value", "n"], ["Unit"], ...(judged ? [["Requirement", "n"], [""]] : [])], rows);
+  return table(
+    "Metrics",
+    [["Metric"], ["Value", "n"], ["Unit"], ...(judged ? [["Requirement", "n"], [""]] : [])],
+    rows,
+  );
 }

@@ -1,0 +1,207 @@
+"""Ways to solve the same problem: sequential, nested, simultaneous; and a stable start for all of them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fosopt.errors import FosoptError
+from fosopt.expressions import Expression, parse_expression
+from fosopt.problem import Constraint, Problem
+from fosopt.solve.ipopt import Options, Solution, never, solve
+from fosopt.solve.nlp import NonlinearProgram, Task
+
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+Strategy = Literal["simultaneous", "nested", "sequential"]
+
+# Metrics that a structural engineer can compute without knowing the loop.
+_STRUCTURAL = frozenset(
+    {
+        "structural_mass",
+        "total_mass",
+        "structure_inertia",
+        "reference_inertia",
+        "first_elastic_frequency",
+        "structure_frequency",
+        "modal_inertia",
+    }
+)
+_STABILIZING_ROUNDS = 12
+_INNER_TOLERANCE = 0.01  # of the outer tolerance, so that the inner optimum looks smooth from outside
+
+
+@dataclass(frozen=True)
+class Goal:
+    """What one point of a study asks for: minimize an expression under constraints over free variables."""
+
+    problem: Problem
+    objective: Expression
+    constraints: tuple[Constraint, ...]
+    free: Mask
+
+    def task(self, free: Mask | None = None) -> Task:
+        """The goal as one optimization over all or some of its free variables."""
+        return Task(self.problem, self.objective, self.constraints, self.free if free is None else free & self.free)
+
+    def discipline(self, name: Literal["structure", "control"]) -> Mask:
+        """(n,) the free variables of one discipline."""
+        variables = self.problem.variables
+        own = np.concatenate([np.full(v.size, v.discipline == name) for v in variables])
+        return own & self.free
+
+    def structural(self, expression: Expression) -> bool:
+        """Whether an expression needs the structure alone."""
+        own = {v.name for v in self.problem.variables if v.discipline == "structure"}
+        return all(name in _STRUCTURAL or name in own for name, _ in expression.references)
+
+
+def reach(
+    goal: Goal, start: Array, strategy: Strategy, options: Options, stop: Callable[[], bool] = never
+) -> Solution:
+    """Solve a goal by a strategy; an unstable start is stabilized first.
+
+    Parameters
+    ----------
+    start
+        (n,) values of all variables.
+    """
+    stable = stabilize(goal, start, options, stop)
+    if isinstance(stable, Solution):
+        return stable
+    if strategy == "simultaneous" or not goal.discipline("structure").any():
+        return solve(NonlinearProgram(goal.task(), stable), options, stop)
+    if strategy == "sequential":
+        return _sequential(goal, stable, options, stop)
+    return _nested(goal, stable, options, stop)
+
+
+def stabilize(
+    goal: Goal, start: Array, options: Options, stop: Callable[[], bool] = never
+) -> Array | Solution:
+    """A stable design reached from an unstable start, over the goal's free variables.
+
+    Jitter of H(s + σ) is finite for a loop whose poles lie left of σ. It is minimized for σ just right of the
+    rightmost pole, until the loop is stable; the constraints wait until then.
+
+    Returns
+    -------
+    Array or Solution
+        (n,) values of all variables, or a failed solution where no stable design was found.
+    """
+    problem = goal.problem
+    x = start
+    iterations, seconds = 0, 0.0
+    abscissa = problem.evaluate(x).value("spectral_abscissa")
+    objective = parse_expression("log(jitter_total)" if problem.system.disturbances else "spectral_abscissa")
+    for _ in range(_STABILIZING_ROUNDS):
+        if abscissa < 0:
+            return x
+        if not goal.free.any():
+            break
+        task = replace(goal.task(), objective=objective, constraints=())
+        program = NonlinearProgram(task, x, shift=1.2 * abscissa + 1e-3)
+        found = solve(
+            program, options, stop, lambda y: problem.evaluate(y).value("spectral_abscissa") < 0
+        )
+        iterations, seconds = iterations + found.iterations, seconds + found.seconds
+        if found.status == "interrupted":
+            return found
+        now = problem.evaluate(found.x).value("spectral_abscissa")
+        if not now < 0.99 * abscissa:
+            break
+        x, abscissa = found.x, now
+    if abscissa < 0:
+        return x
+    reason = f"no stable design found: a pole keeps the real part {abscissa:.4g} rad/s; free more variables or widen bounds"
+    return Solution(x, "infeasible", reason, float("nan"), np.zeros(0), (), iterations, seconds, ())
+
+
+def _sequential(goal: Goal, start: Array, options: Options, stop: Callable[[], bool]) -> Solution:
+    """The habit of separate teams: the stiffest structure the limits allow, then the best loop on it."""
+    structural = tuple(c for c in goal.constraints if goal.structural(c.expression))
+    first = Task(
+        goal.problem, parse_expression("-first_elastic_frequency"), structural, goal.discipline("structure")
+    )
+    stiff = solve(NonlinearProgram(first, start), options, stop)
+    if stiff.status != "optimal":
+        return replace(stiff, reason=f"structure first: {stiff.reason}", objective=float("nan"))
+    control = replace(goal, free=goal.discipline("control"))
+    stable = stabilize(control, stiff.x, options, stop)
+    if isinstance(stable, Solution):
+        return stable
+    found = solve(NonlinearProgram(control.task(), stable), options, stop)
+    return replace(
+        found, iterations=found.iterations + stiff.iterations, seconds=found.seconds + stiff.seconds
+    )
+
+
+def _nested(goal: Goal, start: Array, options: Options, stop: Callable[[], bool]) -> Solution:
+    return solve(_NestedProgram(goal, start, options, stop), options, stop)
+
+
+class _NestedProgram(NonlinearProgram):
+    """The structure outside, the best loop for it inside.
+
+    The inner optimum's derivative is that of the inner Lagrangian (envelope theorem).
+    """
+
+    def __init__(self, goal: Goal, start: Array, options: Options, stop: Callable[[], bool]) -> None:
+        self._goal, self._stop = goal, stop
+        self._options = replace(options, tolerance=_INNER_TOLERANCE * options.tolerance)
+        outer = tuple(c for c in goal.constraints if goal.structural(c.expression))
+        self._inner_constraints = tuple(c for c in goal.constraints if c not in outer)
+        self._control = goal.discipline("control")
+        self.best = start
+        self._answers: dict[bytes, tuple[float, Array] | None] = {}
+        placeholder = goal.objective if goal.structural(goal.objective) else parse_expression("structural_mass")
+        super().__init__(Task(goal.problem, placeholder, outer, goal.discipline("structure")), start)
+        inner = self._inner(start)
+        self.objective_scale = max(abs(inner[0]), 1e-300) if inner is not None else 1.0
+
+    def _inner(self, x: Array) -> tuple[float, Array] | None:
+        """Inner optimum and its gradient over the scaled structure variables, by value of the structure."""
+        key = x[self.index].tobytes()
+        if key not in self._answers:
+            self._answers[key] = self._solve_inner(x)
+        return self._answers[key]
+
+    def _solve_inner(self, x: Array) -> tuple[float, Array] | None:
+        start = np.where(self._control, self.best, x)
+        try:
+            inner = replace(self._goal, free=self._control, constraints=self._inner_constraints)
+            stable = stabilize(inner, start, self._options, self._stop)
+            if isinstance(stable, Solution):
+                return None
+            found = solve(NonlinearProgram(inner.task(), stable), self._options, self._stop)
+            if found.status != "optimal":
+                return None
+            both = replace(inner, free=self._goal.discipline("structure"))
+            answer = NonlinearProgram(both.task(), found.x)
+            value, gradient, _, jacobian = answer(answer.scaled(found.x)) or (None, None, None, None)
+            if value is None:
+                return None
+            scaled = found.multipliers * answer.row_scale / answer.objective_scale
+            self.best = found.x
+            return value * answer.objective_scale, (gradient + scaled @ jacobian) * answer.objective_scale
+        except FosoptError:
+            return None
+
+    def unscaled(self, z: Array) -> Array:
+        """(n,) values of all variables, the loop's from the inner optimum."""
+        x = super().unscaled(z)
+        return np.where(self._control, self.best, x)
+
+    def __call__(self, z: Array) -> tuple[float, Array, Array, Array] | None:
+        """Scaled inner optimum, its gradient, the structural rows and their Jacobian."""
+        x = super().unscaled(z)
+        rows = super().__call__(z)
+        inner = self._inner(x)
+        if rows is None or inner is None:
+            return None
+        return inner[0] / self.objective_scale, inner[1] / self.objective_scale, rows[2], rows[3]
