@@ -241,7 +241,9 @@ def fake_run() -> dict[str, object]:
 def single_run() -> dict[str, object]:
     """One objective and three cases, none of which has a detail of loop or step."""
     points = []
-    for number, (case, mass) in enumerate([("gains alone", 9.0), ("structure alone", 7.4), ("both", 6.1)]):
+    for number, (case, mass) in enumerate(
+        [("gains alone", 9.0), ("structure alone", 7.4), ("both <b>free</b>", 6.1)]
+    ):
         made = point(number, mass)
         made |= {"case": case, "label": "", "parent": None}
         made["detail"] = {"truss": truss(mass, number)}
@@ -268,6 +270,20 @@ def spatial_run() -> dict[str, object]:
         }
     }
     return {"name": "Spatial mast", "kind": "analysis", "objectives": ["jitter_total"], "points": [made]}
+
+
+def large_run(count: int) -> dict[str, object]:
+    """Points that know their two objectives and nothing else."""
+    points = [
+        {
+            "key": f"{k:05d}",
+            "status": "optimal",
+            "verified": True,
+            "metrics": {"structural_mass": 5 + 1e-3 * k, "jitter_total": 1e-4 / (1 + 1e-3 * k)},
+        }
+        for k in range(count)
+    ]
+    return {"objectives": ["structural_mass", "jitter_total"], "points": points}
 
 
 class Page(HTMLParser):
@@ -348,9 +364,8 @@ def test_the_policy_allows_the_two_scripts_by_hash_and_no_request(page: Page) ->
 
 
 def test_only_a_front_drawn_by_webgl_may_evaluate_code(tmp_path: Path) -> None:
-    bare = {"key": "0", "status": "optimal", "metrics": {}}
-    assert "unsafe-eval" not in written({"points": [bare] * 10_000}, tmp_path).policy
-    assert "'unsafe-eval'" in written({"points": [bare] * 10_001}, tmp_path).policy
+    assert "unsafe-eval" not in written(large_run(10_000), tmp_path).policy
+    assert "'unsafe-eval'" in written(large_run(10_001), tmp_path).policy
 
 
 def test_nothing_outside_the_library_names_another_address(page: Page) -> None:
@@ -417,6 +432,22 @@ def test_a_report_that_cannot_be_made_leaves_the_old_one_and_no_rest(tmp_path: P
     path.write_text("old", encoding="utf-8")
     with pytest.raises(ValueError, match="JSON compliant"):
         write_report({"points": [{"metrics": {"structural_mass": math.nan}}]}, path)
+    assert path.read_text(encoding="utf-8") == "old"
+    assert list(tmp_path.iterdir()) == [path]
+
+
+def test_a_report_that_cannot_take_its_place_leaves_the_old_one_and_no_rest(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def refuse(source: Path, target: Path) -> None:
+        assert source.parent == target.parent and source.stat().st_size > 1e6
+        raise PermissionError
+
+    path = tmp_path / "report.html"
+    path.write_text("old", encoding="utf-8")
+    monkeypatch.setattr("os.replace", refuse)
+    with pytest.raises(PermissionError):
+        write_report({}, path)
     assert path.read_text(encoding="utf-8") == "old"
     assert list(tmp_path.iterdir()) == [path]
 

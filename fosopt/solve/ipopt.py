@@ -19,6 +19,9 @@ Array = NDArray[np.float64]
 Status = Literal["optimal", "infeasible", "failed", "interrupted"]
 
 
+_NEAR = {"mu_strategy": "monotone", "mu_init": 1e-5, "bound_push": 1e-6, "bound_frac": 1e-6}
+
+
 def never() -> bool:
     """Never stop."""
     return False
@@ -108,6 +111,7 @@ def solve(
     options: Options,
     stop: Callable[[], bool] = never,
     good_enough: Callable[[Array], bool] = never_enough,
+    near: bool = False,
 ) -> Solution:
     """Find a local optimum of a program from its start, at which all its metrics must exist.
 
@@ -119,6 +123,8 @@ def solve(
         Asked at every iteration; true ends the solve with what it has.
     good_enough
         Asked at every iteration with the values of all variables; true ends the solve as converged.
+    near
+        Whether the start is the optimum of a neighboring goal, so that the barrier may start low.
     """
     begin = time.perf_counter()
     bridge = _Bridge(program)
@@ -152,7 +158,7 @@ def solve(
                 "max_wall_time": options.time_limit,
                 # A relaxed bound would let the objective fall below the true optimum.
                 "bound_relax_factor": 0.0,
-                "mu_strategy": "adaptive",
+                **(_NEAR if near else {"mu_strategy": "adaptive"}),
                 "nlp_scaling_method": "none",
             },
         },

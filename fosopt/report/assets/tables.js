@@ -296,6 +296,15 @@ function variablesTable(point) {
   return table("Design variables", [["Variable"], ["Values", "n"], ["", "n"], ["Unit"]], rows);
 }
 
+function judgement(met) {
+  if (met === null) return "";
+  return element(
+    "span",
+    { class: `mark ${met ? "sound" : "unsound"}` },
+    met ? "●\u00a0met" : "✕\u00a0exceeded",
+  );
+}
+
 function metricsTable(point) {
   const names = Object.keys(point.metrics ?? {});
   if (!names.length) return null;
@@ -304,7 +313,6 @@ function metricsTable(point) {
     const value = point.metrics[name],
       most = requirements[name];
     const met = typeof value === "number" && typeof most === "number" ? value <= most : null;
-    const verdictText = met === null ? "" : `${met ? "● met" : "✕ exceeded"}`;
     return element(
       "tr",
       {},
@@ -312,16 +320,9 @@ function metricsTable(point) {
       cell(metricNumber(name, value), "n"),
       cell(quantity(name).unit, "unit"),
       ...(judged
-        ? [
-            cell(typeof most === "number" ? `≤ ${limit(name, most)}` : "", "n"),
-            cell(element("span", { class: `mark ${met === false ? "unsound" : "sound"}` }, verdictText)),
-          ]
+        ? [cell(typeof most === "number" ? [`≤ ${limit(name, most)} `, judgement(met)] : "", "judged")]
         : []),
     );
   });
-  return table(
-    "Metrics",
-    [["Metric"], ["Value", "n"], ["Unit"], ...(judged ? [["Requirement", "n"], [""]] : [])],
-    rows,
-  );
+  return table("Metrics", [["Metric"], ["Value", "n"], ["Unit"], ...(judged ? [["Requirement"]] : [])], rows);
 }
