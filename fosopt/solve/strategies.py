@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from fosopt.errors import FosoptError
 from fosopt.expressions import Expression, parse_expression
 from fosopt.problem import Constraint, Problem
+from fosopt.solve.elastic import ElasticProgram
 from fosopt.solve.ipopt import Options, Solution, never, solve
 from fosopt.solve.nlp import NonlinearProgram, Task
 
@@ -75,10 +76,29 @@ def reach(
     if isinstance(stable, Solution):
         return stable
     if strategy == "simultaneous" or not goal.discipline("structure").any():
-        return solve(NonlinearProgram(goal.task(), stable), options, stop)
+        return persist(goal.task(), stable, options, stop)
     if strategy == "sequential":
         return _sequential(goal, stable, options, stop)
     return _nested(goal, stable, options, stop)
+
+
+def persist(task: Task, start: Array, options: Options, stop: Callable[[], bool] = never) -> Solution:
+    """Solve a task; where the first try fails, find out whether it can be met at all, and try again if so."""
+    found = solve(NonlinearProgram(task, start), options, stop)
+    if found.status in ("optimal", "interrupted") or found.seconds >= options.time_limit:
+        return found
+    elastic = ElasticProgram(NonlinearProgram(task, start))
+    least = solve(elastic, options, stop)
+    if least.status == "interrupted":
+        return least
+    tried = replace(
+        found, iterations=found.iterations + least.iterations, seconds=found.seconds + least.seconds
+    )
+    conflict = elastic.conflict(least)
+    if conflict is not None:
+        return replace(tried, x=least.x, status="infeasible", reason=conflict)
+    again = solve(NonlinearProgram(task, least.x), options, stop)
+    return replace(again, iterations=tried.iterations + again.iterations, seconds=tried.seconds + again.seconds)
 
 
 def stabilize(
@@ -128,14 +148,14 @@ def _sequential(goal: Goal, start: Array, options: Options, stop: Callable[[], b
     first = Task(
         goal.problem, parse_expression("-first_elastic_frequency"), structural, goal.discipline("structure")
     )
-    stiff = solve(NonlinearProgram(first, start), options, stop)
+    stiff = persist(first, start, options, stop)
     if stiff.status != "optimal":
         return replace(stiff, reason=f"structure first: {stiff.reason}", objective=float("nan"))
     control = replace(goal, free=goal.discipline("control"))
     stable = stabilize(control, stiff.x, options, stop)
     if isinstance(stable, Solution):
         return stable
-    found = solve(NonlinearProgram(control.task(), stable), options, stop)
+    found = persist(control.task(), stable, options, stop)
     return replace(
         found, iterations=found.iterations + stiff.iterations, seconds=found.seconds + stiff.seconds
     )

@@ -72,7 +72,7 @@ def _study(source: Source, base: Path) -> Study:
         study = Study.model_validate(source.data)
     except ValidationError as error:
         raise _first(error, source) from None
-    study._base = base
+    study._base, study._source = base, source
     if isinstance(study.damping.table, str):
         _side_file(source, ("damping", "table"), lambda: read_damping(study))
     for k, disturbance in enumerate(study.disturbances):

@@ -8,6 +8,7 @@ from typing import Annotated, Any, Literal, Self
 
 from pydantic import Field, ModelWrapValidatorHandler, PrivateAttr, Tag, model_validator
 
+from fosopt.errors import StudyError
 from fosopt.study.schema_base import (
     ONE_OR_LIST,
     TEXT_OR_LIST,
@@ -36,6 +37,7 @@ from fosopt.study.schema_names import QUANTITIES
 from fosopt.study.schema_rules import check_study
 from fosopt.study.schema_system import Controller, Damping, Disturbance, Hub, Mirror, Modes, Step
 from fosopt.study.schema_truss import Structure
+from fosopt.study.source import Source
 
 Groups = Annotated[dict[Identifier, Annotated[tuple[Label, ...], Field(min_length=1)]], Field(min_length=1)]
 
@@ -235,7 +237,7 @@ class Solve(Section):
     compare: tuple[Strategy, ...] = ()
     starts: Count = 1
     seed: Annotated[int, Field(strict=True, ge=0, lt=2**32)] = 1
-    tolerance: PositiveFraction = 1e-7
+    tolerance: PositiveFraction = 1e-6
     max_iterations: Count = 300
     time_limit: PositiveTime = 60.0
 
@@ -291,6 +293,7 @@ class Study(Section):
     design: dict[Identifier, Values] = Field(default_factory=dict)
 
     _base: Path = PrivateAttr(default=Path())
+    _source: Source | None = PrivateAttr(default=None)
 
     @model_validator(mode="wrap")
     @classmethod
@@ -304,6 +307,12 @@ class Study(Section):
     def base(self) -> Path:
         """Directory that paths of side files start from; no part of what makes studies equal."""
         return self._base
+
+    def error(self, message: str, *path: str | int) -> StudyError:
+        """An error about what stands at a path, with its place in the file where the study came from one."""
+        if self._source is not None:
+            return self._source.error(message, path)
+        return StudyError(message, path=".".join(str(key) for key in path) or None)
 
     def __eq__(self, other: object) -> bool:
         """Whether all keys are equal, wherever the files stand."""

@@ -24,7 +24,7 @@ METRICS: dict[str, Metric] = {
     "first_elastic_frequency": Metric("frequency", "first elastic frequency"),
     "spectral_abscissa": Metric("decay", "spectral abscissa"),
     "modulus_margin": Metric("ratio", "modulus margin"),
-    "crossover": Metric("frequency", "crossover"),
+    "loop_crossover": Metric("frequency", "loop crossover"),
     "jitter_total": Metric("angle", "total jitter"),
     "step_offset": Metric("angle", "step offset"),
     "step_rms": Metric("angle", "step rms error"),

@@ -1,0 +1,289 @@
+"""From a study that has been understood to the problem it poses."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from fnmatch import fnmatchcase
+from math import inf
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fosopt.actuators import Mirror
+from fosopt.control import PID, Loop, gain_for_crossover
+from fosopt.errors import FosoptError, StudyError
+from fosopt.expressions import Expression
+from fosopt.metrics import disturbances as shaping
+from fosopt.metrics.step import StepCommand
+from fosopt.modes import Damping, Hub
+from fosopt.problem import Constraint, Definitions, Design, ModeSelection, Problem, System, Variable
+from fosopt.structure import (
+    Bar,
+    Batten,
+    PointMass,
+    Spring,
+    Structure,
+    Truss,
+    assemble,
+    barker_truss,
+    structural_mass,
+    structure_inertia,
+)
+from fosopt.study import schema, schema_system, schema_truss
+from fosopt.study.files import read_damping, read_psd
+
+Array = NDArray[np.float64]
+
+
+def build_problem(study: schema.Study) -> Problem:
+    """The co-design problem of a study, checked at its start as far as can be without solving it.
+
+    Raises
+    ------
+    StudyError
+        For what physics does not allow, with the line of the section at fault.
+    """
+    with _at(study, "structure"):
+        structure = assemble(_truss(study), study.mirror.port)
+    base = _base(study, structure)
+    with _at(study, "damping"):
+        damping = _damping(study)
+    hub = Hub(study.hub.type, study.hub.bandwidth or 0.0, study.hub.damping_ratio or 0.0)
+    disturbances = []
+    for k, each in enumerate(study.disturbances):
+        with _at(study, "disturbances", k):
+            disturbances.append(_disturbance(study, each))
+    step = None
+    if study.step is not None:
+        with _at(study, "step"):
+            step = StepCommand(study.step.command, study.step.window)
+    system = System(structure, study.mirror.port, hub, damping, tuple(disturbances), step, _selection(study))
+    variables = tuple(_variable(study, structure, base, k) for k in range(len(study.variables)))
+    definitions = Definitions(study.mirror.inertia_ratio, study.controller.crossover)
+    constraints = []
+    for k, given in enumerate(study.constraints):
+        with _at(study, "constraints", k):
+            lower = -inf if given.lower is None else given.lower
+            upper = inf if given.upper is None else given.upper
+            constraints.append(Constraint(given.metric, lower, upper))
+    objectives: tuple[Expression, ...] = tuple(o.minimize for o in study.objectives)
+    with _at(study, "variables"):
+        problem = Problem(system, base, variables, objectives, tuple(constraints), definitions)
+    _check_start(study, problem)
+    return problem
+
+
+def start_vector(study: schema.Study, problem: Problem) -> Array:
+    """(n,) Values of all variables where the study starts: its ``design``, else the variables' starts.
+
+    Raises
+    ------
+    StudyError
+        If a list in ``design`` has a wrong number of values.
+    """
+    with _at(study, "design"):
+        return problem.vector(study.design)
+
+
+@contextmanager
+def _at(study: schema.Study, *path: str | int) -> Iterator[None]:
+    """Say where in the study file an error of physics stands."""
+    try:
+        yield
+    except StudyError:
+        raise
+    except FosoptError as error:
+        raise study.error(str(error), *path) from error
+
+
+def _check_start(study: schema.Study, problem: Problem) -> None:
+    """What the start already shows to be wrong: mechanisms, mode selections, infinite variances."""
+    evaluation = problem.evaluate(start_vector(study, problem))
+    with _at(study, "structure"):
+        drifting = evaluation.frame.n_rigid > 0 and study.hub.type == "free"
+    with _at(study, "hub"):
+        frequencies = evaluation.all_modes.natural_frequency
+    with _at(study, "modes"):
+        problem.system.selection.of(frequencies)
+    for k, disturbance in enumerate(problem.system.disturbances):
+        with _at(study, "disturbances", k):
+            shaping.refuse_infinite_variance(disturbance, evaluation.design.loop, drifting)
+
+
+def _truss(study: schema.Study) -> Truss:
+    given = study.structure
+    if isinstance(given, schema_truss.BarkerTruss):
+        sizes = {
+            name: value
+            for name in ("longeron_area", "diagonal_area", "batten_mass")
+            if (value := getattr(given, name)) is not None
+        }
+        return barker_truss(given.boundary, given.bays, **sizes)
+    bars = tuple(
+        Bar(
+            bar.name or f"{bar.nodes[0]}-{bar.nodes[1]}",
+            bar.nodes,
+            bar.area,
+            bar.young,
+            bar.density,
+            bar.kind,
+            bar.bay or 0,
+        )
+        for bar in given.bars
+    )
+    battens = tuple(Batten(b.name, b.nodes, b.mass, b.inertia, b.center) for b in given.battens)
+    points = tuple(PointMass(str(p.node or p.batten), p.mass, p.inertia) for p in given.points)
+    springs = tuple(Spring(str(s.node or s.batten), s.component, s.stiffness) for s in given.springs)
+    return Truss(given.nodes, bars, given.ports, given.supports, battens, points, springs)
+
+
+def _base(study: schema.Study, structure: Structure) -> Design:
+    given, pid = study.mirror, study.controller
+    area, batten_mass = structure.area, structure.batten_mass
+    mass = float(structural_mass(structure, area, batten_mass))
+    if given.mass is not None:
+        mirror_mass = given.mass
+    else:
+        assert given.mass_fraction is not None
+        mirror_mass = mass * given.mass_fraction / (1 - given.mass_fraction)
+    inertia = given.inertia
+    if inertia is None:
+        assert given.inertia_ratio is not None
+        inertia = given.inertia_ratio * float(structure_inertia(structure, area, batten_mass))
+    frequency = given.frequency
+    if frequency is None:
+        assert given.stiffness is not None
+        frequency = float(np.sqrt(given.stiffness / inertia))
+    with _at(study, "mirror"):
+        mirror = Mirror(inertia, frequency, given.damping_ratio)
+    lag = 1 / pid.rolloff if pid.rolloff is not None else 0.0
+    gain = pid.gain
+    if gain is None:
+        gain = float(gain_for_crossover(pid.crossover, mirror, pid.kp, pid.ki, pid.kd, lag))
+    return Design(area, batten_mass, mirror_mass, Loop(mirror, PID(gain, pid.kp, pid.ki, pid.kd, lag)))
+
+
+def _damping(study: schema.Study) -> Damping:
+    given = study.damping
+    if given.uniform is not None:
+        return Damping((given.uniform,))
+    if given.per_mode is not None:
+        return Damping(given.per_mode)
+    table = read_damping(study)
+    return Damping(table.damping_ratio, table.frequency)
+
+
+def _selection(study: schema.Study) -> ModeSelection:
+    modes = study.modes
+    if modes is None:
+        return ModeSelection()
+    keep = None if modes.keep is None else tuple(k - 1 for k in modes.keep)
+    return ModeSelection(modes.count, modes.below, keep)
+
+
+def _disturbance(study: schema.Study, given: schema_system.Disturbance) -> shaping.Disturbance:
+    band = given.band or (0.0, inf)
+    if given.filter is None:
+        table = read_psd(study, given)
+        return shaping.Disturbance(
+            given.name, given.at, None, np.array(table.frequency), np.array(table.psd), band
+        )
+    return shaping.Disturbance(given.name, given.at, _filter(given.filter), band=band)
+
+
+def _filter(given: Any) -> shaping.ShapingFilter:
+    if given.type == "low_pass":
+        return shaping.low_pass(given.corner, given.rms, given.order)
+    if given.type == "high_pass":
+        return shaping.high_pass(given.corner, given.density, given.order)
+    if given.type == "band_pass":
+        return shaping.band_pass(given.lower, given.upper, given.rms, given.order)
+    if given.type == "white":
+        return shaping.white(given.density)
+    return shaping.ShapingFilter(given.numerator, given.denominator)
+
+
+def _variable(study: schema.Study, structure: Structure, base: Design, k: int) -> Variable:
+    given = study.variables[k]
+    log = given.scale == "log"
+    if given.quantity not in ("area", "batten_mass"):
+        start = given.start
+        if start is None:
+            start = study.given(given.quantity)
+        if start is None:
+            raise study.error(f"'{given.quantity}' has no start; add 'start' to the variable", "variables", k)
+        with _at(study, "variables", k):
+            one = (np.array([v], dtype=float) for v in (given.lower, given.upper, start))
+            return Variable(given.name, given.quantity, *one, log)
+    groups, labels = _groups(study, structure, k)
+    values = getattr(base, given.quantity)
+    starts = [given.start if given.start is not None else float(np.mean(values[list(g)])) for g in groups]
+    n = len(groups)
+    with _at(study, "variables", k):
+        return Variable(
+            given.name,
+            given.quantity,
+            np.full(n, given.lower),
+            np.full(n, given.upper),
+            np.array(starts),
+            log,
+            groups,
+            labels,
+        )
+
+
+def _groups(
+    study: schema.Study, structure: Structure, k: int
+) -> tuple[tuple[tuple[int, ...], ...], tuple[str, ...]]:
+    """Members of each group of a member variable, and the groups' names."""
+    given: Any = study.variables[k]
+    kinds = getattr(given, "kinds", None)
+    members: Any = structure.truss.bars if given.quantity == "area" else structure.truss.battens
+    chosen = [(i, m) for i, m in enumerate(members) if kinds is None or m.kind in kinds]
+    groups: dict[str, list[int]] = {}
+    if given.groups is not None:
+        owner: dict[int, str] = {}
+        for name, patterns in given.groups.items():
+            for pattern in patterns:
+                matched = [i for i, m in chosen if fnmatchcase(m.name, pattern)]
+                if not matched:
+                    names = ", ".join(m.name for _, m in chosen[:6])
+                    raise study.error(
+                        f"'{pattern}' matches no member; members are named {names}, ...",
+                        *("variables", k, "groups", name),
+                    )
+                for i in matched:
+                    if owner.setdefault(i, name) != name:
+                        raise study.error(
+                            f"member '{members[i].name}' belongs to '{owner[i]}' and '{name}'; keep one",
+                            *("variables", k, "groups", name),
+                        )
+                    if i not in groups.setdefault(name, []):
+                        groups[name].append(i)
+    else:
+        for i, member in chosen:
+            label = {
+                "member": member.name,
+                "bay": f"bay {member.bay}",
+                "kind": getattr(member, "kind", "batten"),
+                "all": "all",
+            }[given.group_by]
+            groups.setdefault(label, []).append(i)
+    taken = {
+        i: other.name
+        for j, other in enumerate(study.variables[:k])
+        if other.quantity == given.quantity
+        for group in _groups(study, structure, j)[0]
+        for i in group
+    }
+    for i in (i for group in groups.values() for i in group):
+        if i in taken:
+            raise study.error(
+                f"member '{members[i].name}' is already set by variable '{taken[i]}'; restrict one of them",
+                *("variables", k),
+            )
+    if not groups:
+        raise study.error("the structure has no such members; remove the variable", "variables", k)
+    return tuple(tuple(sorted(group)) for group in groups.values()), tuple(groups)
