@@ -21,12 +21,10 @@ from fosopt.expressions import Expression
 from fosopt.metrics.disturbances import Disturbance
 from fosopt.metrics.jitter import resonance_quadrature
 from fosopt.modes import ModalFrame, ModalSet
+from fosopt.ops import Array, ComplexArray
 from fosopt.problem import Constraint, Evaluation, Problem, Rows
-from fosopt.problem.system import System
 from fosopt.solve.nlp import NonlinearProgram, Task
 from fosopt.structure import mass_matrix, stiffness_matrix
-
-Array = NDArray[np.float64]
 
 # A constraint may be violated by this share of its bound: ten times the solver's tolerance.
 FEASIBILITY = 1e-6
@@ -125,22 +123,28 @@ def certify(
     mode_residual = _mode_residual(truth.frame, truth)
     if not mode_residual <= MODE_RESIDUAL:
         reasons.append(f"modes: residual {mode_residual:.1e} exceeds {MODE_RESIDUAL:.0e}")
-    system = _scaled(closed_loop_state_space(truth.design.loop, truth.modes, problem.system.mirror_port), truth.modes)
+    system = _scaled(
+        closed_loop_state_space(truth.design.loop, truth.modes, problem.system.mirror_port), truth.modes
+    )
     dense, disagreement = _poles(system, truth)
     abscissa = float(dense.real.max())
-    stable = truth.stable and abscissa < 0
+    stable = bool(truth.stable and abscissa < 0)
     if not disagreement <= POLE_AGREEMENT:
         reasons.append(f"poles: two routes differ by {disagreement:.1e}, more than {POLE_AGREEMENT:.0e}")
     jitter_disagreement = None
     if not stable:
-        reasons.append(f"unstable: a pole has the real part {max(abscissa, truth.poles.spectral_abscissa):.4g} rad/s")
+        reasons.append(
+            f"unstable: a pole has the real part {max(abscissa, truth.poles.spectral_abscissa):.4g} rad/s"
+        )
     elif truth.system.disturbances:
         jitter_disagreement = max(
             abs(independent_variance(truth, system, d) / truth.variances[f"jitter_{d.name}"].value - 1) / 2
             for d in truth.system.disturbances
         )
         if not jitter_disagreement <= AGREEMENT:
-            reasons.append(f"jitter: two routes differ by {jitter_disagreement:.1e}, more than {AGREEMENT:.0e}")
+            reasons.append(
+                f"jitter: two routes differ by {jitter_disagreement:.1e}, more than {AGREEMENT:.0e}"
+            )
     multipliers, kkt = _optimality(problem, x, constraints, objective, free) if stable else ({}, None)
     if kkt is not None and not kkt <= OPTIMALITY:
         reasons.append(f"optimality: KKT residual {kkt:.1e} exceeds {OPTIMALITY:.0e}")
@@ -152,7 +156,9 @@ def certify(
             continue
         reports.append(report)
         if report.slack < -FEASIBILITY * _size(constraint):
-            reasons.append(f"constraint '{constraint.name}' is violated by {-report.slack:.3g} on the full-order model")
+            reasons.append(
+                f"constraint '{constraint.name}' is violated by {-report.slack:.3g} on the full-order model"
+            )
     return Certificate(
         not reasons,
         tuple(reasons),
@@ -210,7 +216,7 @@ def _scaled(system: StateSpace, modes: ModalSet) -> StateSpace:
     )
 
 
-def _poles(system: StateSpace, truth: Evaluation) -> tuple[NDArray[np.complex128], float]:
+def _poles(system: StateSpace, truth: Evaluation) -> tuple[ComplexArray, float]:
     """Dense eigenvalues without a free rigid body's double zero, and their distance from the scalar route."""
     dense = linalg.eigvals(system.a)
     if truth.poles.open_loop.drifting:
@@ -263,7 +269,7 @@ def _by_dynamic_stiffness(truth: Evaluation, disturbance: Disturbance) -> float:
     return float(np.sum(weights / (2 * np.pi) * disturbance.one_sided_psd(nodes) * np.abs(response) ** 2))
 
 
-def _dense_responses(truth: Evaluation, frequencies: Array, at: str) -> NDArray[np.complex128]:
+def _dense_responses(truth: Evaluation, frequencies: Array, at: str) -> ComplexArray:
     """(m,) Line-of-sight response to one input, by a dense solve at each frequency."""
     design, structure, frame = truth.design, truth.system.structure, truth.frame
     modes, loop = truth.all_modes, design.loop
@@ -280,7 +286,7 @@ def _dense_responses(truth: Evaluation, frequencies: Array, at: str) -> NDArray[
     k += mirror.stiffness * np.outer(across, across)
     c += mirror.damping * np.outer(across, across)
     hub = np.append(structure.port("hub"), 0.0)
-    response = np.zeros(frequencies.size, dtype=complex)
+    response: ComplexArray = np.zeros(frequencies.size, dtype=complex)
     for i, w in enumerate(frequencies):
         s = 1j * w
         control = pid.gain * (pid.kp + pid.ki / s + pid.kd * s / (1 + pid.rolloff_time * s))
@@ -290,7 +296,7 @@ def _dense_responses(truth: Evaluation, frequencies: Array, at: str) -> NDArray[
         torque = at in ("mirror_torque", "hub_torque")
         load = (np.eye(n + 1)[n] if at == "mirror_torque" else hub) if torque else control * across
         response[i] = np.linalg.solve(total, load)[n]
-    return response + (1.0 if at == "line_of_sight" else 0.0)
+    return response + complex(at == "line_of_sight")
 
 
 def _size(constraint: Constraint) -> float:
@@ -313,7 +319,7 @@ def _constraint(
         constraint.upper,
         slack,
         multiplier,
-        slack <= 10 * _ACTIVE * _size(constraint),
+        bool(slack <= 10 * _ACTIVE * _size(constraint)),
     )
 
 

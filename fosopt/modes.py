@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import Literal
 
 import numpy as np
@@ -17,10 +18,8 @@ from numpy.typing import NDArray
 from scipy import linalg
 
 from fosopt.errors import ModelError
+from fosopt.ops import Array, ComplexArray
 from fosopt.structure import Structure, mass_matrix, stiffness_matrix
-
-Array = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
 
 # A mode is rigid when its eigenvalue is at rounding level of the stiffest one.
 _RIGID = 1e-12
@@ -297,7 +296,7 @@ def _turn_repeated(eigenvalue: Array, shapes: Array, row: Array) -> Array:
     if edges.size == eigenvalue.size + 1:
         return shapes
     turned = shapes.copy()
-    for first, last in zip(edges[:-1], edges[1:], strict=True):
+    for first, last in pairwise(edges):
         size = last - first
         motion = row @ shapes[:, first:last]
         if size > 1 and np.any(motion):

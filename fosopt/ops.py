@@ -11,9 +11,15 @@ from typing import Any
 
 import casadi as ca
 import numpy as np
+from numpy.typing import NDArray
 from scipy import sparse
 
+Array = NDArray[np.float64]
+ComplexArray = NDArray[np.complexfloating[Any, Any]]
+
 __all__ = [
+    "Array",
+    "ComplexArray",
     "ComplexPair",
     "Dual",
     "congruence",

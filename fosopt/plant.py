@@ -21,8 +21,7 @@ from numpy.typing import NDArray
 from fosopt.actuators import Mirror
 from fosopt.errors import SolverError
 from fosopt.modes import ModalSet
-
-Array = NDArray[np.float64]
+from fosopt.ops import Array
 
 _MAX_ITERATIONS = 200
 
@@ -114,16 +113,16 @@ def coupled_modes(modes: ModalSet, mirror: Mirror, mirror_port: str) -> CoupledM
     base = np.concatenate([base, still])
     distance = np.concatenate([distance, np.zeros(still.size)])
     position = np.argsort(base + distance, kind="stable")
-    merged = [
+    reaction, zero, separation = (
         np.concatenate(pair)[position]
         for pair in (
             (reaction, np.zeros(still.size)),
             (zero, np.where(still > 0, still, np.nan)),
             (separation, np.zeros(still.size)),
         )
-    ]
+    )
     mirror_mode = int(np.flatnonzero(position == below)[0])
-    return CoupledModes(base[position], distance[position], *merged, mirror_mode=mirror_mode)
+    return CoupledModes(base[position], distance[position], reaction, zero, separation, mirror_mode)
 
 
 def _roots(

@@ -9,7 +9,6 @@ from typing import Any
 
 import casadi as ca
 import numpy as np
-from numpy.typing import NDArray
 
 from fosopt.actuators import Mirror
 from fosopt.control import (
@@ -22,11 +21,8 @@ from fosopt.control import (
     loop_transfer,
 )
 from fosopt.errors import ModelError, did_you_mean
-from fosopt.ops import ComplexPair
+from fosopt.ops import Array, ComplexArray, ComplexPair
 from fosopt.structure import Structure, mass_matrix, stiffness_matrix, structural_mass, structure_inertia
-
-Array = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
 
 # Order of the parameters of a loop in every vector below; units in `actuators.Mirror` and `control.PID`.
 LOOP_PARAMETERS = (

@@ -120,7 +120,7 @@ def evaluation(**options: Any) -> Evaluation:
 
 
 def square_mast(bays: int = 3, stretch: float = 1.0) -> Truss:
-    """A spatial mast that bends alike in two directions when its cross section is square, at `stretch` one."""
+    """A spatial mast; at `stretch` one its section is square and it bends alike in two directions."""
     nodes, battens, bars = {}, [], []
     corners = [(1, 1), (-1, 1), (-1, -1), (1, -1)]
     for i in range(bays + 1):
@@ -139,6 +139,25 @@ def square_mast(bays: int = 3, stretch: float = 1.0) -> Truss:
     held = ("x", "y", "z", "rx", "ry", "rz")
     ports = {"hub": ("B0", "rz"), "tip": (f"B{bays}", "rz"), "skew": (f"B{bays}", "ry")}
     return Truss(nodes, tuple(bars), ports, {"B0": held}, tuple(battens))
+
+
+def benchmark(case: int | None) -> tuple[Loop, ModalSet]:
+    """The modified benchmark problem of chapter 3, case 1 to 4, or rigidly supported for None.
+
+    Two equal masses on a spring; the actuated mass pushes against the second. Masses stand for inertias.
+    """
+    given = DISSERTATION["chapter_3"]
+    mirror = Mirror(given["actuated_mass"], given["actuator_frequency"] * HZ, given["zeta_actuator"])
+    loop = Loop(mirror, PID(given["gain"], given["kp"], given["ki"], given["kd"]))
+    if case is None:
+        # A structure too heavy to move.
+        return loop, ModalSet(
+            np.array([HZ]), np.array([0.1]), np.full((1, 2), 1e-12), PORTS, np.zeros(1, bool)
+        )
+    shape = np.array([[1.0, 1.0], [-1.0, 1.0]]) / np.sqrt(2 * given["end_mass"])
+    frequency = np.array([0.0, given["structure_frequency"][case - 1] * HZ])
+    ratio = np.array([0.0, given["zeta_structure"]])
+    return loop, ModalSet(frequency, ratio, shape, PORTS, np.array([True, False]))
 
 
 def random_loop(rng: np.random.Generator, modes: int = 6, **pid: float) -> tuple[Loop, ModalSet]:

@@ -308,7 +308,6 @@ def test_what_every_machine_has_is_no_leak(tree, text):
     assert leaks(root, ["docs/page.md"]) == []
 
 
-@pytest.mark.skipif(not (ROOT / "fosopt/cli.py").exists(), reason="there is no command line yet")
 def test_help_loads_no_heavy_library():
     hold(imported_by_help(ROOT, HEAVY))
 

@@ -172,7 +172,7 @@ def lumps(truss, mirror_mass=0.0):
 
 
 def rigid_motions(structure):
-    """(n, 3 or 6) Displacement of every degree of freedom for unit translations and turns about the origin."""
+    """(n, 3 or 6) Motion of every degree of freedom in unit translations and turns about the origin."""
     truss = structure.truss
     dim = len(next(iter(truss.nodes.values())))
     battens = {b.name: b for b in truss.battens}

@@ -19,10 +19,7 @@ from fosopt.control.pid import pid_response
 from fosopt.control.state_space import closed_loop_state_space
 from fosopt.errors import SolverError
 from fosopt.modes import ModalSet
-from fosopt.ops import Dual
-
-Array = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
+from fosopt.ops import Array, ComplexArray, Dual
 
 _MAX_ITERATIONS = 60
 _CONVERGED = 1e-9  # relative step of a shift; convergence is at least quadratic, so one more step is exact

@@ -10,12 +10,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fosopt.control.loop import Loop
 from fosopt.modes import ModalSet
-
-Array = NDArray[np.float64]
+from fosopt.ops import Array
 
 INPUTS = ("mirror_torque", "hub_torque", "line_of_sight", "sensor_noise", "command")
 OUTPUTS = ("mirror_angle", "line_of_sight")

@@ -7,14 +7,11 @@ from functools import cached_property
 from math import inf, pi, sqrt
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import signal
 
 from fosopt.control import NUMERATORS, Loop
 from fosopt.errors import ModelError, did_you_mean
-
-Array = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
+from fosopt.ops import Array, ComplexArray
 
 # Poles of a shaping filter closer than this (relative) are treated as repeated.
 _REPEATED = 1e-6
@@ -113,7 +110,8 @@ class Disturbance:
         low, high = self.band
         if not 0 <= low < high:
             raise ModelError(
-                f"disturbance '{self.name}': band {low:.6g} to {high:.6g} rad/s is empty; the lower edge must be below the upper"
+                f"disturbance '{self.name}': band {low:.6g} to {high:.6g} rad/s is empty; "
+                "the lower edge must be below the upper"
             )
 
     @property
@@ -139,12 +137,14 @@ class Disturbance:
 
 def low_pass(corner: float, rms: float, order: int = 1) -> ShapingFilter:
     """Butterworth low pass whose output has the given rms; `corner` in rad/s."""
-    return _to_rms(*signal.butter(order, corner, analog=True), rms)
+    numerator, denominator = signal.butter(order, corner, analog=True)
+    return _to_rms(numerator, denominator, rms)
 
 
 def band_pass(lower: float, upper: float, rms: float, order: int = 1) -> ShapingFilter:
     """Butterworth band pass whose output has the given rms; corners in rad/s."""
-    return _to_rms(*signal.butter(order, (lower, upper), btype="bandpass", analog=True), rms)
+    numerator, denominator = signal.butter(order, (lower, upper), btype="bandpass", analog=True)
+    return _to_rms(numerator, denominator, rms)
 
 
 def high_pass(corner: float, density: float, order: int = 1) -> ShapingFilter:

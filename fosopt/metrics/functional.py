@@ -5,12 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fosopt.control import Loop, Receptances
 from fosopt.modes import ModalSet
-
-ComplexArray = NDArray[np.complex128]
+from fosopt.ops import ComplexArray
 
 
 @dataclass(frozen=True)

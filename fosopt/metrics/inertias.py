@@ -12,9 +12,8 @@ from numpy.typing import NDArray
 
 from fosopt.actuators import Mirror
 from fosopt.modes import ModalFrame, ModalSet
+from fosopt.ops import Array
 from fosopt.plant import CoupledModes, secular_slope
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

@@ -16,16 +16,12 @@ from dataclasses import dataclass
 from math import inf, pi
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fosopt.control import NUMERATORS, ClosedLoopPoles, characteristic, closed_loop_response
 from fosopt.errors import UnstableError
 from fosopt.metrics.disturbances import Disturbance
 from fosopt.metrics.functional import Functional, LoopModel, Points
-from fosopt.ops import Dual
-
-Array = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
+from fosopt.ops import Array, ComplexArray, Dual
 
 _NODES = 20  # per half panel; 20 leave 1e-10 of a resonance a thousand times narrower than its panel
 

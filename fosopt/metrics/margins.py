@@ -3,15 +3,11 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fosopt.control import ClosedLoopPoles, Receptances, characteristic, loop_transfer
 from fosopt.errors import SolverError
 from fosopt.metrics.functional import Functional, LoopModel, Points
-from fosopt.ops import Dual
-
-Array = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
+from fosopt.ops import Array, ComplexArray, Dual
 
 _BISECTIONS = 60
 _OFFSETS = np.sinh(np.linspace(-3.5, 3.5, 9))  # in half widths about each resonance

@@ -9,15 +9,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fosopt.control import ClosedLoopPoles, closed_loop_response
 from fosopt.errors import ModelError, UnstableError
 from fosopt.metrics.functional import Functional, LoopModel
 from fosopt.metrics.jitter import pole_residues
-
-Array = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
+from fosopt.ops import Array, ComplexArray
 
 
 @dataclass(frozen=True)
@@ -109,7 +106,7 @@ def _path(fastest: float, start: float, end: float) -> tuple[ComplexArray, Compl
     x, w = np.polynomial.legendre.leggauss(12)
 
     def panels(first: complex, last: complex, count: int) -> tuple[ComplexArray, ComplexArray]:
-        edges = first + (last - first) * np.linspace(0, 1, count + 1)
+        edges: ComplexArray = np.linspace(first, last, count + 1, dtype=complex)
         half = 0.5 * np.diff(edges)
         nodes = (0.5 * (edges[1:] + edges[:-1]))[:, None] + half[:, None] * x
         return nodes.ravel(), (half[:, None] * w).ravel()

@@ -3,22 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from math import inf
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fosopt import ops
 from fosopt.errors import ModelError, did_you_mean
 from fosopt.expressions import Expression, Reference, parse_expression
+from fosopt.ops import Array
 from fosopt.problem.system import BRANCHES, INDEXED, Design, Evaluation, System
 from fosopt.problem.variables import Definitions, Variable, design_parameters
 from fosopt.symbolic import Differentiable, OracleFunction
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -32,8 +30,8 @@ class Constraint:
     def __post_init__(self) -> None:
         if not self.lower <= self.upper or (self.lower == -inf and self.upper == inf):
             raise ModelError(
-                f"constraint '{self.expression.text}': bounds {self.lower:g} and {self.upper:g} leave nothing or everything; "
-                "give a lower bound, an upper bound, or both in order"
+                f"constraint '{self.expression.text}': bounds {self.lower:g} and {self.upper:g} leave nothing or "
+                "everything; give a lower bound, an upper bound, or both in order"
             )
 
     @property
@@ -63,7 +61,7 @@ class Problem:
     variables: tuple[Variable, ...]
     objectives: tuple[Expression, ...]
     constraints: tuple[Constraint, ...] = ()
-    definitions: Definitions = Definitions()
+    definitions: Definitions = field(default_factory=Definitions)
 
     def __post_init__(self) -> None:
         names = [v.name for v in self.variables]

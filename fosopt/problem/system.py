@@ -18,12 +18,10 @@ from fosopt.metrics.inertias import ModalFunctional
 from fosopt.metrics.jitter import Variance, jitter_variances
 from fosopt.metrics.step import StepCommand, step_metrics
 from fosopt.modes import Damping, Hub, ModalFrame, ModalSet, modal_frame, receptance_functional
+from fosopt.ops import Array, ComplexArray
 from fosopt.plant import CoupledModes, coupled_modes
 from fosopt.structure import Structure, structural_mass, structure_inertia
 from fosopt.symbolic import LOOP_PARAMETERS, loop_of, loop_parameters, response_partials
-
-Array = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
 
 # How many branches of a metric that is a minimum over modes or frequencies enter a constraint one by one.
 BRANCHES = {"first_elastic_frequency": 4, "modulus_margin": 6}
@@ -267,10 +265,10 @@ class Evaluation:
             return self._frequency(self.frame.n_rigid)
         if name == "reference_inertia":
             value = inertias.reference_inertia(self.modes, self.system.mirror_port)
-            functional = inertias.reference_inertia_functional(
+            change = inertias.reference_inertia_functional(
                 self.frame, self.all_modes, self.kept, self.system.mirror_port
             )
-            return value, self._modal_gradient(functional)
+            return value, self._modal_gradient(change)
         if name == "loop_crossover":
             frequency, functional = margins.crossover(self.model, self.poles)
             return frequency, self._loop_gradient([functional])

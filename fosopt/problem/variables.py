@@ -7,18 +7,16 @@ from dataclasses import dataclass
 from typing import Any, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import sparse
 
 from fosopt import ops
 from fosopt.actuators import Mirror
 from fosopt.control import gain_for_crossover
 from fosopt.errors import ModelError
+from fosopt.ops import Array
 from fosopt.problem.system import Design, System
 from fosopt.structure import structure_inertia
 from fosopt.symbolic import LOOP_PARAMETERS, loop_parameters
-
-Array = NDArray[np.float64]
 
 Quantity = Literal[
     "area",

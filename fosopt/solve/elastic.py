@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from fosopt.ops import Array
 from fosopt.solve.ipopt import Solution
 from fosopt.solve.nlp import NonlinearProgram
-
-Array = NDArray[np.float64]
 
 # Scaled violation and multiplier above which a row counts: well above the solver's tolerance.
 _COUNTS = 1e-5
@@ -75,7 +73,9 @@ class ElasticProgram:
         m = self._rows
         pressed = np.abs(solution.multipliers * self.row_scale).reshape(2, m).max(axis=0)
         involved = dict.fromkeys(
-            name for name, v, p in zip(program.row_names, violation, pressed, strict=True) if max(v, p) > _COUNTS
+            name
+            for name, v, p in zip(program.row_names, violation, pressed, strict=True)
+            if max(v, p) > _COUNTS
         )
         worst = int(np.argmax(violation))
         amount = violation[worst] * program.row_scale[worst]

@@ -3,16 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
 
+from fosopt.ops import Array
 from fosopt.problem import Constraint, Problem, Rows
 from fosopt.solve.ipopt import Options, Solution, never
 from fosopt.solve.strategies import Goal, Strategy, reach
-
-Array = NDArray[np.float64]
 
 # The light end of a front allows this share of the front's range above the least first objective: at the very
 # least one the other objective has nothing left to choose from.
@@ -38,7 +37,7 @@ class Search:
     """
 
     strategy: Strategy = "simultaneous"
-    options: Options = Options()
+    options: Options = field(default_factory=Options)
     starts: int = 1
     seed: int = 1
     compare: tuple[Strategy, ...] = ()
@@ -90,7 +89,9 @@ def search(
         if stop():
             break
         found.append(reach(goal, _random(goal, start, rng), how.strategy, how.options, stop))
-    best = min(found, key=lambda s: (s.status != "optimal", s.objective if np.isfinite(s.objective) else np.inf))
+    best = min(
+        found, key=lambda s: (s.status != "optimal", s.objective if np.isfinite(s.objective) else np.inf)
+    )
     near = [s for s in found if s.status == "optimal" and s.objective <= best.objective * (1 + _SAME)]
     return best, len(found), len(near)
 

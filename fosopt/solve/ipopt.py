@@ -9,12 +9,10 @@ from typing import Any, Literal
 
 import casadi as ca
 import numpy as np
-from numpy.typing import NDArray
 
+from fosopt.ops import Array
 from fosopt.solve.nlp import Program
 from fosopt.symbolic import OracleFunction
-
-Array = NDArray[np.float64]
 
 Status = Literal["optimal", "infeasible", "failed", "interrupted"]
 

@@ -11,9 +11,8 @@ from numpy.typing import NDArray
 
 from fosopt.errors import FosoptError
 from fosopt.expressions import Expression
+from fosopt.ops import Array
 from fosopt.problem import Constraint, Evaluation, Problem, Rows, branched
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

@@ -11,12 +11,12 @@ from numpy.typing import NDArray
 
 from fosopt.errors import FosoptError
 from fosopt.expressions import Expression, parse_expression
+from fosopt.ops import Array
 from fosopt.problem import Constraint, Problem
 from fosopt.solve.elastic import ElasticProgram
 from fosopt.solve.ipopt import Options, Solution, never, solve
 from fosopt.solve.nlp import NonlinearProgram, Task
 
-Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
 Strategy = Literal["simultaneous", "nested", "sequential"]
@@ -48,7 +48,9 @@ class Goal:
 
     def task(self, free: Mask | None = None) -> Task:
         """The goal as one optimization over all or some of its free variables."""
-        return Task(self.problem, self.objective, self.constraints, self.free if free is None else free & self.free)
+        return Task(
+            self.problem, self.objective, self.constraints, self.free if free is None else free & self.free
+        )
 
     def discipline(self, name: Literal["structure", "control"]) -> Mask:
         """(n,) the free variables of one discipline."""
@@ -98,7 +100,9 @@ def persist(task: Task, start: Array, options: Options, stop: Callable[[], bool]
     if conflict is not None:
         return replace(tried, x=least.x, status="infeasible", reason=conflict)
     again = solve(NonlinearProgram(task, least.x), options, stop)
-    return replace(again, iterations=tried.iterations + again.iterations, seconds=tried.seconds + again.seconds)
+    return replace(
+        again, iterations=tried.iterations + again.iterations, seconds=tried.seconds + again.seconds
+    )
 
 
 def stabilize(
@@ -126,9 +130,7 @@ def stabilize(
             break
         task = replace(goal.task(), objective=objective, constraints=())
         program = NonlinearProgram(task, x, shift=1.2 * abscissa + 1e-3)
-        found = solve(
-            program, options, stop, lambda y: problem.evaluate(y).value("spectral_abscissa") < 0
-        )
+        found = solve(program, options, stop, lambda y: problem.evaluate(y).value("spectral_abscissa") < 0)
         iterations, seconds = iterations + found.iterations, seconds + found.seconds
         if found.status == "interrupted":
             return found
@@ -138,7 +140,10 @@ def stabilize(
         x, abscissa = found.x, now
     if abscissa < 0:
         return x
-    reason = f"no stable design found: a pole keeps the real part {abscissa:.4g} rad/s; free more variables or widen bounds"
+    reason = (
+        f"no stable design found: a pole keeps the real part {abscissa:.4g} rad/s; "
+        "free more variables or widen bounds"
+    )
     return Solution(x, "infeasible", reason, float("nan"), np.zeros(0), (), iterations, seconds, ())
 
 
@@ -179,7 +184,9 @@ class _NestedProgram(NonlinearProgram):
         self._control = goal.discipline("control")
         self.best = start
         self._answers: dict[bytes, tuple[float, Array] | None] = {}
-        placeholder = goal.objective if goal.structural(goal.objective) else parse_expression("structural_mass")
+        placeholder = (
+            goal.objective if goal.structural(goal.objective) else parse_expression("structural_mass")
+        )
         super().__init__(Task(goal.problem, placeholder, outer, goal.discipline("structure")), start)
         inner = self._inner(start)
         self.objective_scale = max(abs(inner[0]), 1e-300) if inner is not None else 1.0

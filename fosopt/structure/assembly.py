@@ -9,7 +9,8 @@ import numpy as np
 from scipy import sparse
 
 from fosopt.errors import ModelError, did_you_mean
-from fosopt.structure.truss import ROTATIONS, TRANSLATIONS, Array, Batten, Structure, Truss
+from fosopt.ops import Array
+from fosopt.structure.truss import ROTATIONS, TRANSLATIONS, Batten, Structure, Truss
 
 
 @dataclass(frozen=True)
@@ -21,10 +22,6 @@ class _Frame:
     node_maps: Mapping[str, sparse.csr_array]  # (dim, n) displacement of each node
     body_maps: Mapping[str, sparse.csr_array]  # (n_component, n) motion of each free node or batten
     center: Mapping[str, Array]
-
-    @property
-    def components(self) -> tuple[str, ...]:
-        return (*TRANSLATIONS[: self.dim], *_rotations(self.dim))
 
 
 def assemble(truss: Truss, mirror_port: str) -> Structure:

@@ -12,13 +12,11 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import sparse
 
 from fosopt import ops
 from fosopt.errors import ModelError, did_you_mean
-
-Array = NDArray[np.float64]
+from fosopt.ops import Array
 
 TRANSLATIONS = ("x", "y", "z")
 ROTATIONS = ("rx", "ry", "rz")

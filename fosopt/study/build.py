@@ -9,7 +9,6 @@ from math import inf
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fosopt.actuators import Mirror
 from fosopt.control import PID, Loop, gain_for_crossover
@@ -18,6 +17,7 @@ from fosopt.expressions import Expression
 from fosopt.metrics import disturbances as shaping
 from fosopt.metrics.step import StepCommand
 from fosopt.modes import Damping, Hub
+from fosopt.ops import Array
 from fosopt.problem import Constraint, Definitions, Design, ModeSelection, Problem, System, Variable
 from fosopt.structure import (
     Bar,
@@ -33,8 +33,6 @@ from fosopt.structure import (
 )
 from fosopt.study import schema, schema_system, schema_truss
 from fosopt.study.files import read_damping, read_psd
-
-Array = NDArray[np.float64]
 
 
 def build_problem(study: schema.Study) -> Problem:
@@ -215,8 +213,8 @@ def _variable(study: schema.Study, structure: Structure, base: Design, k: int) -
         if start is None:
             raise study.error(f"'{given.quantity}' has no start; add 'start' to the variable", "variables", k)
         with _at(study, "variables", k):
-            one = (np.array([v], dtype=float) for v in (given.lower, given.upper, start))
-            return Variable(given.name, given.quantity, *one, log)
+            lower, upper, first = (np.array([v], dtype=float) for v in (given.lower, given.upper, start))
+            return Variable(given.name, given.quantity, lower, upper, first, log)
     groups, labels = _groups(study, structure, k)
     values = getattr(base, given.quantity)
     starts = [given.start if given.start is not None else float(np.mean(values[list(g)])) for g in groups]

@@ -1,0 +1,141 @@
+"""What a run says at the end: exit code, table of the front, machine-readable summary."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from fosopt.cli.guard import Code
+
+REPORT, TABLE, DATA = "report.html", "front.csv", "front.json"
+"""Files of a run beside its record."""
+
+_MOST_ROWS = 30
+_START = "start"  # key of the start design
+_Run = Mapping[str, Any]
+
+
+def is_answer(point: Mapping[str, Any]) -> bool:
+    """Whether a point is verified and more than the start design, which is judged before the solver starts."""
+    return bool(point["verified"]) and point["key"] != _START
+
+
+def has_failed(point: Mapping[str, Any]) -> bool:
+    """Whether a point did not converge, or converged to what did not verify.
+
+    An infeasible or unstable point is an answer, and an interrupted one was not given the time.
+    """
+    return point["status"] == "failed" or (point["status"] == "optimal" and not point["verified"])
+
+
+def exit_code(run: _Run, *, stopped: bool) -> Code:
+    """What the process says with its exit code."""
+    if stopped:
+        return Code.INTERRUPTED
+    counts = _counts(run["points"])
+    good = counts["verified"] and not counts["failed"] and not counts["interrupted"]
+    return Code.DONE if good else Code.UNVERIFIED
+
+
+def summary(run: _Run, out: Path, code: Code, seconds: float) -> dict[str, Any]:
+    """The outcome for a program to read; objectives are SI."""
+    points = run["points"]
+    kept = ("key", "label", "case", "strategy", "status", "verified", "dominated", "reason")
+    return {
+        "name": run["name"],
+        "kind": run["kind"],
+        "exit_code": int(code),
+        "interrupted": code == Code.INTERRUPTED,
+        "seconds": seconds,
+        "directory": str(out),
+        "files": {name: str(path) for name, path in files(out).items()},
+        "counts": _counts(points),
+        "objectives": run["objectives"],
+        "points": [
+            {name: point[name] for name in kept}
+            | {"values": {name: point["metrics"].get(name) for name in run["objectives"]}}
+            for point in points
+        ],
+    }
+
+
+def files(out: Path) -> dict[str, Path]:
+    """Files a run leaves for people and other tools, by what they are."""
+    from fosopt.study.store import RECORD
+
+    return {"report": out / REPORT, "table": out / TABLE, "data": out / DATA, "record": out / RECORD}
+
+
+def closing(run: _Run, out: Path, seconds: float) -> Iterator[str]:
+    """Lines that end a run: its numbers, what failed, and which file to open."""
+    points = run["points"]
+    yield from _front(run) if run["objectives"] else _metrics(run)
+    yield ""
+    for point in [each for each in points if each["reason"] and not each["verified"]][:_MOST_ROWS]:
+        yield f"{point['key']} {point['status']}: {point['reason']}"
+    counts = _counts(points)
+    yield ", ".join(f"{number} {what}" for what, number in counts.items() if number or what == "verified") + (
+        f" in {seconds:.1f} s"
+    )
+    yield f"open {out / REPORT} in a browser; numbers are in {out / TABLE} and {out / DATA}"
+
+
+def _counts(points: Sequence[Mapping[str, Any]]) -> dict[str, int]:
+    return {
+        "points": len(points),
+        "verified": sum(map(is_answer, points)),
+        "failed": sum(map(has_failed, points)),
+        "interrupted": sum(point["status"] == "interrupted" for point in points),
+    }
+
+
+def _front(run: _Run) -> Iterator[str]:
+    """The points with their objectives."""
+    points = run["points"]
+    names = run["objectives"]
+    optional = [name for name in ("case", "strategy") if len({point[name] for point in points} - {None}) > 1]
+    rows = [["point", *optional, *(_title(run, name) for name in names), "status", "verified", ""]]
+    rows += [
+        [
+            point["key"],
+            *(str(point[name] or "-") for name in optional),
+            *(_number(run, name, point["metrics"].get(name)) for name in names),
+            point["status"],
+            "yes" if point["verified"] else "no",
+            "dominated" if point["dominated"] else point["label"],
+        ]
+        for point in points[:_MOST_ROWS]
+    ]
+    yield from _aligned(rows, right=range(1 + len(optional), 1 + len(optional) + len(names)))
+    if len(points) > _MOST_ROWS:
+        yield f"and {len(points) - _MOST_ROWS} more points"
+
+
+def _metrics(run: _Run) -> Iterator[str]:
+    """The metrics of a design that was judged, one per line; those of single modes are in the files."""
+    for point in run["points"]:
+        yield f"{point['label']}: {point['status']}, {'verified' if point['verified'] else 'not verified'}"
+        names = [name for name in point["metrics"] if "[" not in name]
+        rows = [[_title(run, name), _number(run, name, point["metrics"][name])] for name in names]
+        yield from _aligned(rows, right=range(1, 2))
+
+
+def _title(run: _Run, name: str) -> str:
+    quantity = run["quantities"].get(name)
+    if quantity is None:
+        return name
+    return f"{quantity['label']} [{quantity['unit']}]" if quantity["unit"] else str(quantity["label"])
+
+
+def _number(run: _Run, name: str, value: float | None) -> str:
+    quantity = run["quantities"].get(name)
+    return "-" if value is None else f"{value * (quantity['factor'] if quantity else 1.0):.5g}"
+
+
+def _aligned(rows: Sequence[Sequence[str]], right: range) -> Iterator[str]:
+    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
+    for row in rows:
+        cells = zip(row, widths, strict=True)
+        text = (cell.rjust(w) if k in right else cell.ljust(w) for k, (cell, w) in enumerate(cells))
+        yield "  ".join(text).rstrip()

@@ -1,0 +1,180 @@
+"""What a run says while it works: a bar on a terminal, elsewhere a line per finished point."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+from fosopt.cli.guard import say
+from fosopt.cli.outcome import has_failed, is_answer
+from fosopt.units import dimension_name, show
+
+if TYPE_CHECKING:
+    from fosopt.study.runner import Progress
+    from fosopt.study.schema import Study
+
+Watch = Callable[["Progress"], None]
+
+
+@dataclass(frozen=True)
+class Goal:
+    """An objective: its text, and the name of its dimension where it has one."""
+
+    name: str
+    dimension: str | None
+
+    def shown(self, value: float) -> str:
+        """The objective with a value in the unit people read."""
+        amount = f"{value:.6g}" if self.dimension is None else show(value, self.dimension)
+        return f"{self.name} {amount}"
+
+
+def goals(study: Study) -> tuple[Goal, ...]:
+    """The objectives of a study."""
+    from fosopt.study.schema_rules import expression_dimension
+
+    vectors = ((each.minimize.text, expression_dimension(study, each.minimize)) for each in study.objectives)
+    return tuple(Goal(text, None if vector is None else dimension_name(vector)) for text, vector in vectors)
+
+
+class Tally:
+    """The best verified value of each objective so far, and how many points failed."""
+
+    def __init__(self, goals: Iterable[Goal]) -> None:
+        self.goals = tuple(goals)
+        self.best: dict[str, float] = {}
+        self.failed = 0
+
+    def count(self, point: Mapping[str, Any]) -> None:
+        """Take a finished point into account."""
+        self.failed += has_failed(point)
+        for goal in self.goals if is_answer(point) else ():
+            value = point["metrics"].get(goal.name)
+            if value is not None:
+                self.best[goal.name] = min(value, self.best.get(goal.name, value))
+
+    def values(self, point: Mapping[str, Any]) -> str:
+        """The objectives of a point in one line."""
+        metrics = point["metrics"]
+        known = (goal.shown(metrics[goal.name]) for goal in self.goals if metrics.get(goal.name) is not None)
+        return ", ".join(known)
+
+    def summary(self) -> str:
+        """The best values and the failures in one line."""
+        known = (goal.shown(self.best[goal.name]) for goal in self.goals if goal.name in self.best)
+        best = ", ".join(known)
+        parts = [f"best: {best}"] if best else []
+        return ", ".join([*parts, *([f"{self.failed} failed"] if self.failed else [])])
+
+
+def duration(seconds: float) -> str:
+    """A time span for people, such as ``3 min 20 s``."""
+    whole = round(seconds)
+    if whole < 60:
+        return f"{whole} s"
+    if whole < 3600:
+        return f"{whole // 60} min {whole % 60:02d} s"
+    return f"{whole // 3600} h {whole % 3600 // 60:02d} min"
+
+
+def remaining(progress: Progress) -> str:
+    """How long the rest takes at the pace so far; empty before a point is solved."""
+    # The start design is the first point and takes no time worth counting.
+    if not 1 < progress.done < progress.total:
+        return ""
+    pace = progress.seconds / (progress.done - 1)
+    return f"about {duration(pace * (progress.total - progress.done))} left"
+
+
+def finished(point: Mapping[str, Any], values: str) -> str:
+    """One line on a finished point."""
+    verdict = "verified" if point["verified"] else "not verified"
+    name = point["label"] if point["label"].startswith(point["key"]) else f"{point['key']} {point['label']}"
+    head = f"{name}: {point['status']}, {verdict}"
+    return "; ".join(part for part in (head, values, point["reason"]) if part)
+
+
+@contextmanager
+def watching(study: Study) -> Iterator[Watch]:
+    """Show the progress of a run on stderr.
+
+    Yields
+    ------
+    Callable[[Progress], None]
+        What the run calls.
+    """
+    tally = Tally(goals(study))
+    if not sys.stderr.isatty():
+        yield _lines(tally)
+        return
+    # rich takes a while to import, and only a terminal needs it.
+    from rich.console import Console
+
+    console = Console(stderr=True)
+    if console.is_dumb_terminal:
+        yield _lines(tally)
+        return
+    with _bar(tally, console) as watch:
+        yield watch
+
+
+def _lines(tally: Tally) -> Watch:
+    stage = ""
+
+    def watch(progress: Progress) -> None:
+        nonlocal stage
+        if progress.point is not None:
+            tally.count(progress.point)
+            line = finished(progress.point, tally.values(progress.point))
+            times = ", ".join(part for part in (duration(progress.seconds), remaining(progress)) if part)
+            say(f"[{progress.done}/{progress.total}] {line} ({times})", error=True)
+        elif progress.stage != stage:
+            say(f"[{progress.done}/{progress.total}] {progress.stage}", error=True)
+        stage = progress.stage
+
+    return watch
+
+
+@contextmanager
+def _bar(tally: Tally, console: Any) -> Iterator[Watch]:
+    from rich.progress import BarColumn, MofNCompleteColumn, Progress, SpinnerColumn, TextColumn
+    from rich.progress import TimeElapsedColumn as Elapsed
+    from rich.text import Text
+
+    class Bar(Progress):
+        """A progress bar with the best values in a line below it."""
+
+        def get_renderables(self) -> Iterator[Any]:
+            yield from super().get_renderables()
+            if tally.summary():
+                yield Text(f"  {tally.summary()}", no_wrap=True, overflow="ellipsis")
+
+    columns = (
+        SpinnerColumn(),
+        TextColumn("{task.description}", markup=False),
+        BarColumn(),
+        MofNCompleteColumn(),
+        Elapsed(),
+        TextColumn("{task.fields[left]}", markup=False),
+    )
+    # Nothing but the result may go to stdout, so it is not passed through the bar on stderr.
+    with Bar(*columns, console=console, transient=True, redirect_stdout=False) as bar:
+        task = bar.add_task("starting", total=None, left="")
+
+        def watch(progress: Any) -> None:
+            if progress.point is not None:
+                tally.count(progress.point)
+                if has_failed(progress.point):
+                    bar.console.print(Text(finished(progress.point, "")), soft_wrap=True)
+            bar.update(
+                task,
+                description=progress.stage,
+                completed=progress.done,
+                total=progress.total,
+                left=remaining(progress),
+            )
+
+        yield watch
