@@ -342,7 +342,7 @@ def _optimality(
     answer = program(z)
     if answer is None:
         return {}, inf
-    _, gradient, rows, jacobian = answer
+    value, gradient, rows, jacobian = answer
     columns, owner, signs = [], [], []
     for i, row in enumerate(rows):
         for limit, sign in ((program.row_upper[i], 1.0), (program.row_lower[i], -1.0)):
@@ -362,7 +362,7 @@ def _optimality(
     multipliers: dict[str, float] = {}
     for i, sign, weight in zip(owner, signs, weights[: len(owner)], strict=True):
         name = program.row_names[i]
-        physical = float(-sign * weight * program.objective_scale / program.row_scale[i])
+        physical = float(-sign * weight * program.objective_slope(value) / program.row_scale[i])
         multipliers[name] = multipliers.get(name, 0.0) + physical
     for name in program.row_names:
         multipliers.setdefault(name, 0.0)

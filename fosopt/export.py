@@ -261,7 +261,9 @@ def _free(name: str, taken: Iterable[str]) -> str:
 def _written(value: _Cell) -> str:
     """A cell as text: floats with all their digits."""
     if isinstance(value, str):
-        return f"'{value}" if value.startswith(_FORMULA) else value
+        # A lone carriage return would end the row for many readers, and csv does not quote it.
+        text = value.replace("\r\n", "\n").replace("\r", "\n")
+        return f"'{text}" if value.startswith(_FORMULA) else text
     return "" if value is None else json.dumps(value, allow_nan=False)
 
 

@@ -37,7 +37,7 @@ def arrays_of(run, tmp_path: Path):
 @pytest.fixture
 def run():
     return fake_run(
-        point("start", "evaluated"), point("000"), point("001", "unstable", reason="grows; lower kp")
+        point("start", "evaluated"), point("000"), point("001", "unstable", reason="grows; lower kp µ")
     )
 
 
@@ -54,7 +54,7 @@ def test_the_table_has_one_row_per_point_with_units_in_its_names(run, tmp_path):
     assert [row["key"] for row in rows] == ["start", "000", "001"]
     assert [row["verified"] for row in rows] == ["true", "true", "false"]
     assert rows[0]["strategy"] == rows[0]["reason"] == rows[0]["multiplier_a_b_2"] == ""
-    assert (rows[2]["jitter_total_rad"], rows[2]["reason"]) == ("", "grows; lower kp")
+    assert (rows[2]["jitter_total_rad"], rows[2]["reason"]) == ("", "grows; lower kp µ")
     assert float(rows[0]["first_elastic_frequency_hz"]) == pytest.approx(6, rel=1e-15)
     assert (rows[0]["slack_a_b_2"], rows[0]["slack_a_b_2_2"]) == ("0.5", "0.25")
 
@@ -82,7 +82,7 @@ def test_points_need_not_have_the_same_columns(tmp_path):
 )
 def test_a_formula_in_a_name_is_inert(tmp_path, text):
     row = rows_of(fake_run(point("000", label=text, case=text, reason=text)), tmp_path)[0]
-    assert {row["label"], row["case"], row["reason"]} == {f"'{text}"}
+    assert {row["label"], row["case"], row["reason"]} == {"'" + text.replace("\r", "\n")}
 
 
 def test_text_that_is_no_formula_and_negative_numbers_stay(tmp_path):
@@ -93,7 +93,7 @@ def test_text_that_is_no_formula_and_negative_numbers_stay(tmp_path):
 
 def test_a_run_without_points_has_a_header_only(tmp_path):
     assert rows_of(fake_run(), tmp_path) == []
-    assert arrays_of(fake_run(), tmp_path)["objectives"].shape == (0, 2)
+    assert arrays_of(fake_run(), tmp_path)["objectives"].size == 0
 
 
 def test_json_holds_the_run_but_for_the_details(run, tmp_path):
@@ -119,10 +119,10 @@ def test_matlab_arrays_hold_the_same_numbers(run, tmp_path):
     assert list(arrays["labels"]["area_m2"]) == ["L1", "root bars"]
     assert list(arrays["objective_names"]) == ["structural_mass_kg", "jitter_total_rad"]
     assert list(arrays["key"]) == ["start", "000", "001"]
+    assert list(arrays["reason"])[2] == "grows; lower kp µ"
     assert list(arrays["verified"]) == [1, 1, 0]
     assert arrays["slack"]["a_b_2_2"].tolist() == [0.25] * 3
     assert np.isnan(arrays["multiplier"]["a_b_2"]).all()
-    assert arrays["description"] == "µ"
 
 
 def test_matlab_units_are_those_of_the_columns(run, tmp_path):

@@ -103,10 +103,11 @@ def test_jitter_over_all_frequencies_is_that_of_the_lyapunov_equation(disturbanc
     assert np.sqrt(variance(evaluation, disturbance)) == pytest.approx(expected, rel=1e-6)
 
 
-@EACH
-def test_jitter_over_all_frequencies_is_the_norm_python_control_gives(disturbance):
-    # python-control gives up on a pole within 1e-6 of the axis, relative to the fastest; damped modes keep away.
-    evaluation = reference.evaluation(percent=0.02, selection=REDUCED, damping=Damping((0.05,)))
+# python-control gives up when rounding leaves a Gramian with a negative eigenvalue, as behind a hub torque.
+@pytest.mark.parametrize("at", ["mirror_torque", "line_of_sight", "sensor_noise"])
+def test_jitter_over_all_frequencies_is_the_norm_python_control_gives(at):
+    disturbance = next(d for d in reference.DISTURBANCES if d.at == at)
+    evaluation = reference.evaluation(selection=REDUCED, damping=Damping((0.05,)))
     expected = control.norm(shaped(evaluation, disturbance), 2)
     assert np.sqrt(variance(evaluation, disturbance)) == pytest.approx(expected, rel=1e-7)
 

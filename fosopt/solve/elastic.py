@@ -29,8 +29,15 @@ class ElasticProgram:
         self.row_upper = np.concatenate([np.full(m, np.inf), program.row_upper])
         self.row_scale = np.concatenate([program.row_scale, program.row_scale])
         self.row_names = program.row_names * 2
-        self.objective_scale = 1.0
         self._rows = m
+
+    def objective(self, value: float) -> float:
+        """The sum of violations, as it is."""
+        return value
+
+    def objective_slope(self, value: float) -> float:
+        """One."""
+        return 1.0
 
     def scaled(self, x: Array) -> Array:
         """Scaled point with slacks that just meet all rows."""

@@ -176,8 +176,9 @@ def solve(
         status, reason = "optimal", None
     z = answer["x"].full().ravel()
     found = program(z)
-    value = found[0] * program.objective_scale if found is not None else float("nan")
-    multipliers = answer["lam_g"].full().ravel() * program.objective_scale / program.row_scale
+    value = program.objective(found[0]) if found is not None else float("nan")
+    slope = program.objective_slope(found[0]) if found is not None else float("nan")
+    multipliers = answer["lam_g"].full().ravel() * slope / program.row_scale
     return Solution(
         program.unscaled(z),
         status,
@@ -286,7 +287,7 @@ class _Watch(ca.Callback):
         rows = given["g"].full().ravel()
         program = self._program
         violation = np.maximum(program.row_lower - rows, rows - program.row_upper)
-        objective = float(given["f"]) * program.objective_scale
+        objective = program.objective(float(given["f"]))
         self.history.append((len(self.history), objective, float(violation.max(initial=0.0))))
         if self._good_enough(program.unscaled(given["x"].full().ravel())):
             self.converged = True

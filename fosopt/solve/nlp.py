@@ -15,6 +15,10 @@ from fosopt.ops import Array
 from fosopt.problem import Constraint, Evaluation, Problem, Rows, branched
 
 
+# Metrics that may be zero or negative; all others are positive by nature.
+_SIGNED = frozenset({"spectral_abscissa", "step_offset"})
+
+
 @dataclass(frozen=True)
 class Task:
     """One optimization of a problem: minimize one expression over some variables.
@@ -46,8 +50,13 @@ class Program(Protocol):
     row_lower: Array
     row_upper: Array
     row_scale: Array
-    objective_scale: float
     row_names: tuple[str, ...]
+
+    def objective(self, value: float) -> float:
+        """Objective in physical units from its scaled value."""
+
+    def objective_slope(self, value: float) -> float:
+        """Derivative of `objective`."""
 
     def scaled(self, x: Array) -> Array:
         """Scaled free variables of (n,) values of all variables."""
@@ -62,8 +71,9 @@ class Program(Protocol):
 class NonlinearProgram:
     """A task in scaled variables, with each point evaluated once.
 
-    Variables on a logarithmic scale enter as ln(x), others over their range. Rows are divided by their size: a
-    constraint by its bound, the objective by its value at the start. The scaling comes from the problem alone.
+    Variables on a logarithmic scale enter as ln(x), others over their range. Constraint rows are divided by their
+    bound. An objective that is positive by nature enters as its logarithm, because a start may be decades away
+    from the optimum; others are divided by their value at the start. The scaling comes from the problem alone.
 
     Parameters
     ----------
@@ -92,7 +102,9 @@ class NonlinearProgram:
         self._known: tuple[Array, Evaluation, Array, Array] | None = None
         self.failure: str | None = None
         value = self._raw(start)[0]
-        self.objective_scale = max(abs(value[0]), 1e-300)
+        reference = task.objective.reference
+        self._logarithmic = reference is not None and reference[0] not in _SIGNED and value[0] > 0
+        self._objective_scale = max(abs(value[0]), 1e-300)
         names: list[str] = []
         bounds: list[tuple[float, float, float]] = []
         for constraint, at_start in zip(single, value[1 : 1 + len(single)], strict=True):
@@ -109,6 +121,19 @@ class NonlinearProgram:
         table = np.array(bounds).reshape(-1, 3)
         self.row_scale = table[:, 2]
         self.row_lower, self.row_upper = table[:, 0] / self.row_scale, table[:, 1] / self.row_scale
+
+    def objective(self, value: float) -> float:
+        """Objective in physical units from its scaled value."""
+        return float(np.exp(value) if self._logarithmic else value) * self._objective_scale
+
+    def objective_slope(self, value: float) -> float:
+        """Derivative of `objective`."""
+        return self.objective(value) if self._logarithmic else self._objective_scale
+
+    def scaled_objective(self, objective: float) -> float:
+        """Inverse of `objective`."""
+        ratio = objective / self._objective_scale
+        return float(np.log(ratio)) if self._logarithmic else ratio
 
     def scaled(self, x: Array) -> Array:
         """Scaled free variables of (n,) values of all variables."""
@@ -158,9 +183,10 @@ class NonlinearProgram:
             return None
         chain = np.where(self._log, x[self.index], self._unit)
         jacobian = jacobian[:, self.index] * chain
+        value = self.scaled_objective(float(values[0]))
         return (
-            float(values[0] / self.objective_scale),
-            jacobian[0] / self.objective_scale,
+            value,
+            jacobian[0] / self.objective_slope(value),
             values[1:] / self.row_scale,
             jacobian[1:] / self.row_scale[:, None],
         )

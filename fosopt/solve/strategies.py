@@ -46,10 +46,22 @@ class Goal:
     constraints: tuple[Constraint, ...]
     free: Mask
 
-    def task(self, free: Mask | None = None) -> Task:
-        """The goal as one optimization over all or some of its free variables."""
-        return Task(
-            self.problem, self.objective, self.constraints, self.free if free is None else free & self.free
+    def task(self) -> Task:
+        """The goal as one optimization.
+
+        Constraints that no free variable can move are left out: a constant row that sits on its bound has no
+        interior and an unbounded multiplier. `certify` looks at them all.
+        """
+        movable = tuple(c for c in self.constraints if self._moves(c.expression))
+        return Task(self.problem, self.objective, movable, self.free)
+
+    def _moves(self, expression: Expression) -> bool:
+        """Whether a free variable can change an expression."""
+        slices = self.problem.slices()
+        structure = bool(self.discipline("structure").any())
+        return any(
+            bool(self.free[slices[name]].any()) if name in slices else structure or name not in _STRUCTURAL
+            for name, _ in expression.references
         )
 
     def discipline(self, name: Literal["structure", "control"]) -> Mask:
@@ -184,15 +196,11 @@ class _NestedProgram(NonlinearProgram):
         self._control = goal.discipline("control")
         self.best = start
         self._answers: dict[bytes, tuple[float, Array] | None] = {}
-        placeholder = (
-            goal.objective if goal.structural(goal.objective) else parse_expression("structural_mass")
-        )
-        super().__init__(Task(goal.problem, placeholder, outer, goal.discipline("structure")), start)
-        inner = self._inner(start)
-        self.objective_scale = max(abs(inner[0]), 1e-300) if inner is not None else 1.0
+        # The outer objective is the inner optimum; this one only stands in its place for the rows.
+        super().__init__(Task(goal.problem, goal.objective, outer, goal.discipline("structure")), start)
 
     def _inner(self, x: Array) -> tuple[float, Array] | None:
-        """Inner optimum and its gradient over the scaled structure variables, by value of the structure."""
+        """Inner optimum [SI] and its gradient over the scaled structure variables."""
         key = x[self.index].tobytes()
         if key not in self._answers:
             self._answers[key] = self._solve_inner(x)
@@ -210,12 +218,14 @@ class _NestedProgram(NonlinearProgram):
                 return None
             both = replace(inner, free=self._goal.discipline("structure"))
             answer = NonlinearProgram(both.task(), found.x)
-            value, gradient, _, jacobian = answer(answer.scaled(found.x)) or (None, None, None, None)
-            if value is None:
+            at_optimum = answer(answer.scaled(found.x))
+            if at_optimum is None:
                 return None
-            scaled = found.multipliers * answer.row_scale / answer.objective_scale
+            value, gradient, _, jacobian = at_optimum
+            slope = answer.objective_slope(value)
+            scaled = found.multipliers * answer.row_scale / slope
             self.best = found.x
-            return value * answer.objective_scale, (gradient + scaled @ jacobian) * answer.objective_scale
+            return answer.objective(value), (gradient + scaled @ jacobian) * slope
         except FosoptError:
             return None
 
@@ -231,4 +241,5 @@ class _NestedProgram(NonlinearProgram):
         inner = self._inner(x)
         if rows is None or inner is None:
             return None
-        return inner[0] / self.objective_scale, inner[1] / self.objective_scale, rows[2], rows[3]
+        value = self.scaled_objective(inner[0])
+        return value, inner[1] / self.objective_slope(value), rows[2], rows[3]
