@@ -17,8 +17,8 @@ from fosopt.problem import Evaluation
 from fosopt.structure import Truss
 
 _MODES = 40  # rows of the mode table: the lowest ones
-_CURVE = 900  # points of a curve, after those that resolve nothing are dropped
-_STEP = 600
+_CURVE = 600  # points of a curve, after those that resolve nothing are dropped
+_STEP = 400
 
 
 def detail_of(evaluation: Evaluation) -> dict[str, Any]:
@@ -27,7 +27,7 @@ def detail_of(evaluation: Evaluation) -> dict[str, Any]:
         "truss": _truss(evaluation.system.structure.truss, evaluation.design.area),
         "modes": _modes(evaluation),
         "bode": _bode(evaluation),
-        "poles": [[float(p.real), float(p.imag)] for p in np.sort_complex(evaluation.poles.all)],
+        "poles": [_short(np.array([p.real, p.imag])) for p in np.sort_complex(evaluation.poles.all)],
         "jitter": {},
         "cumulative": None,
         "step": None,
@@ -81,6 +81,11 @@ def _modes(evaluation: Evaluation) -> list[dict[str, Any]]:
     return rows
 
 
+def _short(values: Array) -> list[float]:
+    """A curve for the eye: six digits."""
+    return [float(f"{value:.6g}") for value in values]
+
+
 def _finite(value: float) -> float | None:
     return float(value) if np.isfinite(value) else None
 
@@ -92,11 +97,11 @@ def _bode(evaluation: Evaluation) -> dict[str, list[float]]:
     loop = evaluation.design.loop
     transfer = loop_transfer(loop, s, g)
     return {
-        "frequency_hz": (grid / (2 * pi)).tolist(),
-        "loop_magnitude": np.abs(transfer).tolist(),
-        "loop_phase_deg": _continuous_phase(transfer).tolist(),
-        "sensitivity": np.abs(closed_loop_response("line_of_sight", loop, s, g)).tolist(),
-        "complementary_sensitivity": np.abs(closed_loop_response("command", loop, s, g)).tolist(),
+        "frequency_hz": _short(grid / (2 * pi)),
+        "loop_magnitude": _short(np.abs(transfer)),
+        "loop_phase_deg": _short(_continuous_phase(transfer)),
+        "sensitivity": _short(np.abs(closed_loop_response("line_of_sight", loop, s, g))),
+        "complementary_sensitivity": _short(np.abs(closed_loop_response("command", loop, s, g))),
     }
 
 
@@ -135,8 +140,8 @@ def _cumulative(evaluation: Evaluation) -> dict[str, list[float]] | None:
         total += curves[d.name]
     curves["total"] = total
     chosen = np.unique(np.linspace(0, grid.size - 1, _CURVE).astype(int))
-    found = {"frequency_hz": (grid[chosen] / (2 * pi)).tolist()}
-    return found | {name: np.sqrt(curve[chosen]).tolist() for name, curve in curves.items()}
+    found = {"frequency_hz": _short(grid[chosen] / (2 * pi))}
+    return found | {name: _short(np.sqrt(curve[chosen])) for name, curve in curves.items()}
 
 
 def _step(evaluation: Evaluation) -> dict[str, Any] | None:
@@ -148,8 +153,8 @@ def _step(evaluation: Evaluation) -> dict[str, Any] | None:
         [[0.0], step.command * step_response(evaluation.model, evaluation.poles, time[1:])]
     )
     return {
-        "time_s": time.tolist(),
-        "response": response.tolist(),
+        "time_s": _short(time),
+        "response": _short(response),
         "window": list(step.window),
         "command": step.command,
     }

@@ -347,7 +347,7 @@ def _mark_dominated(points: list[dict[str, Any]], objectives: list[str]) -> bool
     values = {
         i: [p["metrics"].get(name) for name in objectives]
         for i, p in enumerate(points)
-        if p["verified"] and all(p["metrics"].get(name) is not None for name in objectives)
+        if p["verified"] and p["strategy"] is not None and all(p["metrics"].get(name) is not None for name in objectives)
     }
     for i, mine in values.items():
         points[i]["dominated"] = any(

@@ -11,7 +11,8 @@ const DOMINATED = "#7b838d";
 // Above this many points the front is drawn by WebGL, as the page's security policy assumes.
 const WEBGL_POINTS = 10000;
 
-const strategies = [...new Set(points.map((point) => point.strategy ?? "point"))];
+// A point without a strategy was not searched for: the start design, or the one an analysis looks at.
+const strategies = [...new Set(points.flatMap((point) => point.strategy ?? []))];
 
 function strategyName(name) {
   return String(name).replaceAll("_", " ");
@@ -20,7 +21,8 @@ function strategyName(name) {
 // Front order: strategy by strategy along the first objective, points without a value last.
 function ordered() {
   if (objectives.length < 2) return points;
-  const place = (point) => [strategies.indexOf(point.strategy ?? "point"), objective(point, 0) ?? Infinity];
+  const rank = (point) => (point.strategy ? strategies.indexOf(point.strategy) : strategies.length);
+  const place = (point) => [rank(point), objective(point, 0) ?? Infinity];
   return [...points].sort((a, b) => {
     const [p, q] = [place(a), place(b)];
     return p[0] - q[0] || (p[1] < q[1] ? -1 : p[1] > q[1] ? 1 : 0);
@@ -64,7 +66,7 @@ function frontTrace(members, name, more) {
 
 function strategyTraces(strategy, index) {
   const [symbol, color] = STRATEGY_MARKS[index % STRATEGY_MARKS.length];
-  const members = ordered().filter((point) => (point.strategy ?? "point") === strategy && onFront(point));
+  const members = ordered().filter((point) => point.strategy === strategy && onFront(point));
   const name = strategyName(strategy);
   const groups = [
     [
@@ -95,6 +97,19 @@ function strategyTraces(strategy, index) {
   return groups.filter(([some]) => some.length).map(([some, label, more]) => frontTrace(some, label, more));
 }
 
+// The start design is hidden at first where it would flatten the front; a click in the legend shows it.
+function startTraces() {
+  const members = points.filter((point) => !point.strategy && onFront(point));
+  if (!members.length) return [];
+  const searched = points.filter((point) => point.strategy && onFront(point));
+  const most = (some) => Math.max(...some.map((point) => objective(point, 1)));
+  const far = searched.length > 0 && most(members) > 3 * most(searched);
+  const value = shown(objectives[1], most(members));
+  const name = far ? `${titleOf(members[0])} (${value}, click to show)` : titleOf(members[0]);
+  const marker = { symbol: "diamond-open", color: DOMINATED, size: 10, line: { width: 1.8 } };
+  return [frontTrace(members, name || "start design", { marker, visible: far ? "legendonly" : true })];
+}
+
 // A strategy that has no points of its own may still stand in the comparison at the front's points.
 function baselineTraces() {
   const rows = run.comparison ?? [];
@@ -122,10 +137,11 @@ function baselineTraces() {
 function frontFigure() {
   const [first, second] = [0, 1].map((index) => quantity(objectives[index]).factor);
   const valueless = points.filter((point) => objective(point, 0) !== null && objective(point, 1) === null);
-  const data = [...strategies.flatMap(strategyTraces), ...baselineTraces()];
+  const data = [...strategies.flatMap(strategyTraces), ...startTraces(), ...baselineTraces()];
   const wide = (values) =>
     values.every((value) => value > 0) && Math.max(...values) > 30 * Math.min(...values);
-  const seen = points.filter(onFront);
+  const searched = points.filter((point) => point.strategy && onFront(point));
+  const seen = searched.length ? searched : points.filter(onFront);
   const logarithmic = [0, 1].map((index) => wide(seen.map((point) => objective(point, index))));
   const kind = (index) => (logarithmic[index] ? { type: "log" } : {});
   const shapes = [],

@@ -241,7 +241,7 @@ function fromAddress() {
 // Without a link the middle of the first strategy's verified points stands for the front.
 function firstShown() {
   const good = ordered().filter(
-    (point) => isSound(point) && !point.dominated && point.strategy === points[0].strategy,
+    (point) => isSound(point) && !point.dominated && point.strategy === (strategies[0] ?? null),
   );
   return good[Math.floor((good.length - 1) / 2)] ?? ordered()[0];
 }
