@@ -7,7 +7,6 @@ frequency that are both active at the optimum.
 from __future__ import annotations
 
 import cProfile
-import os
 import pstats
 import resource
 import subprocess

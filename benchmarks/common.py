@@ -13,7 +13,7 @@ import statistics
 import sys
 import time
 from collections.abc import Callable, Iterable, Sequence
-from datetime import datetime, timezone
+from datetime import UTC, datetime
 from pathlib import Path
 
 RESULTS = Path(__file__).with_name("results.md")
@@ -53,7 +53,7 @@ def table(head: Sequence[str], rows: Iterable[Sequence[object]]) -> str:
 
 def write_section(title: str, body: str) -> None:
     """Put a section into results.md, renew the description of the machine and leave the other sections alone."""
-    now = datetime.now(timezone.utc).strftime("%Y-%m-%d")
+    now = datetime.now(UTC).strftime("%Y-%m-%d")
     body = f"Measured on {now} at a load of {os.getloadavg()[0]:.1f}.\n\n{body.strip()}"
     found = RESULTS.read_text(encoding="utf-8") if RESULTS.exists() else ""
     parts = re.split(r"^## (.+)\n", found, flags=re.MULTILINE)[1:]

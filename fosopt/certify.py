@@ -168,17 +168,17 @@ def certify(
         disagreement,
         jitter_disagreement,
         kkt,
-        metrics_of(truth),
+        metrics_of(truth, stable),
         tuple(reports),
     )
 
 
-def metrics_of(evaluation: Evaluation) -> dict[str, float | None]:
+def metrics_of(evaluation: Evaluation, stable: bool) -> dict[str, float | None]:
     """All scalar metrics of a design; None where it has none, as an unstable loop has no jitter or margin."""
     values: dict[str, float | None] = {}
     loop_only = ("jitter_", "step_", "modulus_margin", "loop_crossover")
     for name in evaluation.system.metric_names:
-        if name.startswith(loop_only) and not evaluation.stable:
+        if name.startswith(loop_only) and not stable:
             values[name] = None
             continue
         try:

@@ -8,14 +8,14 @@ from __future__ import annotations
 
 import csv
 import json
-import os
 import re
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 from fosopt.errors import FosoptError
+from fosopt.files import replacing
 from fosopt.units import DIMENSIONS
 
 _Cell = str | bool | int | float | None
@@ -164,17 +164,13 @@ def write_mat(run: Mapping[str, Any], path: Path) -> None:
 @contextmanager
 def _replacing(path: Path) -> Iterator[Path]:
     """A file to write that takes the place of ``path`` when it is complete."""
-    temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
     try:
-        yield temporary
-        os.replace(temporary, path)
+        with replacing(path) as temporary:
+            yield temporary
     except OSError as error:
         reason = error.strerror or str(error)
         message = f"{path}: cannot be written: {reason}; check the directory, its permissions and free space"
         raise ExportError(message) from None
-    finally:
-        with suppress(OSError):
-            temporary.unlink()
 
 
 def _listed(run: _Row, name: str) -> list[Any]:

@@ -34,6 +34,7 @@ ROOT = Path(__file__).resolve().parents[1]
 
 RANKS = {
     "errors": 0,
+    "files": 0,
     "units": 0,
     "ops": 0,
     "expressions": 1,
@@ -48,9 +49,9 @@ RANKS = {
     "solve": 9,
     "relax": 9,
     "certify": 10,
-    "study": 11,
-    "report": 12,
-    "export": 12,
+    "report": 11,
+    "export": 11,
+    "study": 12,
     "cli": 13,
     "__main__": 14,
 }

@@ -137,8 +137,10 @@ def check(
 ) -> None:
     """Read a study file and print the problem as mathematics. Exit code 3 if the file breaks a rule."""
     from fosopt.study import describe_study, load_study
+    from fosopt.study.build import build_problem
 
     study = load_study(study_file, assignments or ())
+    build_problem(study)
     if as_json:
         say(json.dumps(study.model_dump(mode="json", exclude_none=True), allow_nan=False))
     else:

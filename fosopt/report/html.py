@@ -9,11 +9,12 @@ from __future__ import annotations
 import base64
 import hashlib
 import json
-import os
 from collections.abc import Mapping
 from importlib.resources import files
 from pathlib import Path
 from string import Template
+
+from fosopt.files import replacing
 
 SCRIPTS = (
     "format.js",
@@ -51,12 +52,8 @@ def write_report(run: Mapping[str, object], path: Path) -> None:
     OSError
         If the file cannot be written.
     """
-    temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
-    try:
+    with replacing(path) as temporary:
         temporary.write_text(document(run), encoding="utf-8", newline="\n")
-        os.replace(temporary, path)
-    finally:
-        temporary.unlink(missing_ok=True)
 
 
 def document(run: Mapping[str, object]) -> str:

@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
+from fosopt.expressions import Expression
 from fosopt.ops import Array
 from fosopt.problem import Constraint, Problem, Rows
 from fosopt.solve.ipopt import Options, Solution, never
@@ -85,7 +86,7 @@ def search(
     """
     found = [reach(goal, start, how.strategy, how.options, stop)]
     rng = np.random.default_rng([how.seed, index])
-    for _ in range(how.starts - 1):
+    for _ in range(how.starts - 1 if goal.free.any() else 0):
         if stop():
             break
         found.append(reach(goal, _random(goal, start, rng), how.strategy, how.options, stop))
@@ -139,7 +140,7 @@ def trace_front(
     size = abs(heavy.objective)
     last = goal(0, Constraint(second, upper=heavy.objective + _HEAVY_END * size))
     end, *end_tally = search(last, heavy.x, how, 2, stop)
-    most = end.objective if end.status == "optimal" else problem_value(problem, heavy.x, 0)
+    most = end.objective if end.status == "optimal" else objective_value(problem, heavy.x, first)
     x, parent, position = light.x, None, 0
     for k in range(count - 1):
         if stop():
@@ -161,9 +162,9 @@ def trace_front(
     yield Outcome(f"least {second.text}", how.strategy, last, end, None, *end_tally)
 
 
-def problem_value(problem: Problem, x: Array, objective: int) -> float:
-    """Value of one objective at a design."""
-    return float(Rows(problem, (problem.objectives[objective],))(x, problem.evaluate(x))[0][0])
+def objective_value(problem: Problem, x: Array, objective: Expression) -> float:
+    """Value of an objective at a design, on the truth model."""
+    return float(Rows(problem, (objective,))(x, problem.evaluate(x, truth=True))[0][0])
 
 
 def solve_cases(

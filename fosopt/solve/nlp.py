@@ -14,7 +14,6 @@ from fosopt.expressions import Expression
 from fosopt.ops import Array
 from fosopt.problem import Constraint, Evaluation, Problem, Rows, branched
 
-
 # Metrics that may be zero or negative; all others are positive by nature.
 _SIGNED = frozenset({"spectral_abscissa", "step_offset"})
 

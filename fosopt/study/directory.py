@@ -1,0 +1,149 @@
+"""The run directory: made once, complete on its own, and filled at the end."""
+
+from __future__ import annotations
+
+import hashlib
+import platform
+import shutil
+from collections.abc import Callable, Mapping
+from importlib import metadata
+from pathlib import Path
+from typing import Any
+
+from fosopt.errors import StudyError
+from fosopt.export import write_csv, write_json
+from fosopt.problem import Problem
+from fosopt.report import write_report
+from fosopt.study.files import side_files
+from fosopt.study.load import dump_study
+from fosopt.study.schema import Study
+from fosopt.study.schema_names import QUANTITIES
+from fosopt.study.schema_rules import expression_dimension, known_metrics
+from fosopt.units import DIMENSIONLESS, Vector, column, dimension_name, display
+
+_INPUTS = "inputs"
+_LIBRARIES = ("fosopt", "casadi", "numpy", "scipy")
+
+
+def make_directory(out: Path) -> None:
+    """Make the run directory, or take an empty one.
+
+    Raises
+    ------
+    StudyError
+        If it holds something already, or cannot be written.
+    """
+    if out.exists() and (not out.is_dir() or any(out.iterdir())):
+        raise StudyError(f"output '{out}' exists and is not an empty directory; choose another with --out")
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+        probe = out / ".probe"
+        probe.touch()
+        probe.unlink()
+    except OSError as error:
+        raise StudyError(
+            f"output '{out}' cannot be written: {error.strerror}; choose another with --out"
+        ) from error
+
+
+def with_inputs(study: Study, out: Path) -> Study:
+    """The study with its side files copied into the run directory, so that the directory stands alone."""
+    copies: dict[str, str] = {}
+
+    def copied(name: str) -> str:
+        if name not in copies:
+            source = study.base / name
+            (out / _INPUTS).mkdir(exist_ok=True)
+            target = f"{_INPUTS}/{len(copies)}-{source.name}"
+            shutil.copyfile(source, out / target)
+            copies[name] = target
+        return copies[name]
+
+    return _renamed(study, copied)
+
+
+def _renamed(study: Study, rename: Callable[[str], str]) -> Study:
+    """The study with other names for its side files."""
+    disturbances = tuple(
+        d if d.psd is None else d.model_copy(update={"psd": rename(d.psd)}) for d in study.disturbances
+    )
+    damping = study.damping
+    if isinstance(damping.table, str):
+        damping = damping.model_copy(update={"table": rename(damping.table)})
+    return study.model_copy(update={"disturbances": disturbances, "damping": damping})
+
+
+def run_header(study: Study, problem: Problem) -> dict[str, Any]:
+    """The run data but for its points: what was asked, in which units, and where it came from."""
+    digest = hashlib.sha256(dump_study(study).encode())
+    for path in side_files(study):
+        digest.update(path.read_bytes())
+    known = known_metrics(study)
+    quantities = {
+        name: _quantity(known[name].dimension, known[name].label, name)
+        for name in problem.system.metric_names
+    }
+    for variable in study.variables:
+        label = variable.name.replace("_", " ")
+        quantities.setdefault(variable.name, _quantity(QUANTITIES[variable.quantity], label, variable.name))
+    objectives = [o.minimize.text for o in study.objectives]
+    for objective in study.objectives:
+        text = objective.minimize.text
+        if text not in quantities:
+            dimension = expression_dimension(study, objective.minimize)
+            quantities[text] = _quantity(dimension or DIMENSIONLESS, text, f"objective_{len(quantities)}")
+    return {
+        "name": study.name,
+        "description": study.description,
+        "kind": study.kind,
+        "quantities": quantities,
+        "objectives": objectives,
+        "requirements": dict(study.requirements),
+        "labels": {v.name: list(v.labels) for v in problem.variables if v.labels},
+        "comparison_objective": objectives[1] if len(objectives) == 2 else None,
+        "provenance": {
+            "study": digest.hexdigest()[:16],
+            **{name: metadata.version(name) for name in _LIBRARIES},
+            "python": platform.python_version(),
+            "machine": f"{platform.system()} {platform.machine()}",
+            "seed": str(study.solve.seed),
+        },
+    }
+
+
+def _quantity(dimension: str | Vector, label: str, name: str) -> dict[str, Any]:
+    kind = dimension if isinstance(dimension, str) else dimension_name(dimension)
+    if kind is None:
+        # An expression in a unit that has no name of its own is shown as it is computed.
+        return {"label": label, "unit": "SI", "factor": 1.0, "column": f"{name}_si", "column_factor": 1.0}
+    factor, unit = display(kind)
+    column_factor, suffix = column(kind)
+    return {
+        "label": label,
+        "unit": unit,
+        "factor": factor,
+        "column": f"{name}_{suffix}" if suffix else name,
+        "column_factor": column_factor,
+    }
+
+
+def write_files(study: Study, run: Mapping[str, Any], out: Path) -> None:
+    """Write what people take away: tables, one study per design, and the report."""
+    write_csv(run, out / "front.csv")
+    write_json(run, out / "front.json")
+    designs = out / "designs"
+    designs.mkdir(exist_ok=True)
+    inside = _renamed(study, lambda name: f"../{name}")
+    for point in run["points"]:
+        single = inside.model_copy(
+            update={
+                "kind": "analysis",
+                "name": f"{study.name}: {point['label']}"[:200],
+                "design": {name: tuple(values) for name, values in point["variables"].items()},
+                "front": None,
+                "cases": (),
+                "solve": study.solve.model_copy(update={"compare": ()}),
+            }
+        )
+        (designs / f"{point['key']}.yaml").write_text(dump_study(single), encoding="utf-8")
+    write_report(run, out / "report.html")
