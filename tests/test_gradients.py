@@ -84,6 +84,8 @@ CONFIGURATIONS = {
         NO_STEP | {"boundary": "fixed", "hub": Hub("fixed"), "disturbances": (COOLING, AIR, SENSOR)},
         INDEXED,
     ),
+    # Here the rightmost pole is all but cancelled.
+    "hardly coupled": (NO_STEP | {"percent": 1e-9, "disturbances": ()}, INDEXED),
     "chosen modes": (NO_STEP | {"selection": ModeSelection(keep=(0, 1, 2, 5, 7))}, OWN),
     "without the rigid mode": (NO_STEP | {"selection": ModeSelection(keep=(1, 2, 3))}, OWN),
     "table damping": (NO_STEP | {"damping": TABLE_DAMPING}, ()),
@@ -107,10 +109,10 @@ CONFIGURATIONS = {
 }
 
 
-def case(seed, ki=None, boundary="pinned", rolloff_time=1e-4, **options):
+def case(seed, ki=None, boundary="pinned", rolloff_time=1e-4, percent=1.0, **options):
     of = reference.structure(boundary, 6)
     gains = {} if ki is None else {"ki": ki}
-    loop = reference.loop_of(reference.mirror_of(of, 1.0), rolloff_time, **gains)
+    loop = reference.loop_of(reference.mirror_of(of, percent), rolloff_time, **gains)
     return reference.system_and_design(boundary=boundary, bays=6, loop=loop, seed=seed, **options)
 
 
@@ -277,7 +279,7 @@ def test_where_modes_cross_loop_metrics_are_smooth_and_their_gradients_right():
         assert not wrong.size, [(t, SMOOTH[i], found[i], expected[i], error[i]) for i in wrong]
     h = 1e-5
     middle = (4 * (along(h) + along(-h)) - along(2 * h) - along(-2 * h)) / 6
-    assert middle == pytest.approx(values, rel=1e-9)
+    assert middle == pytest.approx(values, rel=1e-9, abs=0)
 
 
 def test_through_the_crossing_the_gradient_is_continuous():
@@ -413,13 +415,13 @@ def test_an_inertia_ratio_and_a_crossover_follow_the_structure():
     p = problem(*everything())
     x = p.start
     evaluation = p.evaluate(x)
-    assert evaluation.value("inertia_ratio") == pytest.approx(5e-3, rel=1e-12)
+    assert evaluation.value("inertia_ratio") == pytest.approx(5e-3, rel=1e-12, abs=0)
     rigid = Receptances(0.0, 0.0)
-    assert abs(loop_transfer(evaluation.design.loop, 1400j, rigid)) == pytest.approx(1.0, rel=1e-12)
+    assert abs(loop_transfer(evaluation.design.loop, 1400j, rigid)) == pytest.approx(1.0, rel=1e-12, abs=0)
     defined = problem(everything()[0], definitions=Definitions(inertia_ratio=5e-3, crossover=1400.0))
     design = defined.design(defined.start)
-    assert abs(loop_transfer(design.loop, 1400j, rigid)) == pytest.approx(1.0, rel=1e-12)
-    assert defined.evaluate(defined.start).value("inertia_ratio") == pytest.approx(5e-3, rel=1e-12)
+    assert abs(loop_transfer(design.loop, 1400j, rigid)) == pytest.approx(1.0, rel=1e-12, abs=0)
+    assert defined.evaluate(defined.start).value("inertia_ratio") == pytest.approx(5e-3, rel=1e-12, abs=0)
     gain = problem(variable("gain", 1.0, 50.0, 99.0), definitions=Definitions(crossover=1400.0))
     assert gain.design(gain.start).loop.controller.gain == 50.0
 
@@ -456,7 +458,7 @@ def test_metrics_as_a_casadi_function_have_the_jacobian_of_central_differences()
     evaluation = p.evaluate(x)
     assert values[0] == evaluation.value("jitter_total")
     mass, margin = evaluation.value("structural_mass"), evaluation.value("modulus_margin")
-    assert values[1] == pytest.approx(2 * mass + np.log(margin), rel=1e-14)
+    assert values[1] == pytest.approx(2 * mass + np.log(margin), rel=1e-14, abs=0)
     rng = np.random.default_rng(0)
     for unit in (x * rng.normal(size=x.size) for _ in range(3)):
 

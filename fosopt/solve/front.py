@@ -135,6 +135,7 @@ def trace_front(
     least = light.objective
     heavy, *tally = search(goal(1), light.x, how, 1, stop)
     if heavy.status != "optimal":
+        yield Outcome(f"least {first.text}", how.strategy, goal(0), light, None)
         yield Outcome(f"least {second.text}", how.strategy, goal(1), heavy, None, *tally)
         return
     size = abs(heavy.objective)

@@ -52,7 +52,7 @@ def _quiet(progress: Progress) -> None:
 
 def run_study(
     study: Study,
-    out: Path,
+    out: str | Path,
     *,
     progress: Callable[[Progress], None] = _quiet,
     stop: Callable[[], bool] = never,
@@ -76,7 +76,7 @@ def run_study(
     StudyError
         If the study poses no problem, or `out` is not empty.
     """
-    begin = time.perf_counter()
+    begin, out = time.perf_counter(), Path(out)
     problem = build_problem(study)
     start = start_vector(study, problem)
     header = run_header(study, problem)
