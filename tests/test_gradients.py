@@ -146,7 +146,7 @@ def check(system, design, references, rng, steps=STEPS, apart=False):
         # Differences admit their own error; a derivative that is small against its value is known to 1e-8 of it.
         allowed = 1e-6 * np.abs(expected) + 3 * error + 1e-8 * np.abs(values)
         wrong = np.flatnonzero(~(np.abs(found - expected) <= allowed))
-        assert not wrong.size, [(references[i], found[i], expected[i], error[i]) for i in wrong]
+        assert not wrong.size, [(references[i], *map(float, (found[i], expected[i], error[i]))) for i in wrong]
 
 
 @pytest.mark.parametrize("name", CONFIGURATIONS)

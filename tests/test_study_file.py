@@ -8,11 +8,12 @@ import sys
 from pathlib import Path
 
 import pytest
+from example_study import EXAMPLE
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from fosopt.errors import StudyError
-from fosopt.study import TEMPLATE, Study, describe_study, dump_study, load_study, parse_study
+from fosopt.study import Study, describe_study, dump_study, load_study, parse_study
 from fosopt.study.files import read_damping, read_psd, side_files
 
 TRUSS = """\
@@ -76,7 +77,7 @@ def refusal(text: str) -> StudyError:
 
 
 def test_the_starting_study_loads_and_is_quick():
-    study = parse_study(TEMPLATE)
+    study = parse_study(EXAMPLE)
     assert study.structure.type == "barker_truss"
     assert study.front.points == 5
     assert study.variables[0].group_by == "kind"
@@ -101,7 +102,7 @@ def test_all_kinds_of_sections_load():
     assert study.given("gain") == 1300.0
 
 
-@pytest.mark.parametrize("text", [TEMPLATE, TRUSS])
+@pytest.mark.parametrize("text", [EXAMPLE, TRUSS])
 def test_a_dump_loads_to_an_equal_study_bit_for_bit(text):
     study = parse_study(text, base="elsewhere")
     dumped = dump_study(study)
@@ -127,7 +128,7 @@ def test_any_number_and_text_survive_the_dump(number, text):
 
 def test_a_study_is_frozen():
     with pytest.raises(ValueError, match="frozen"):
-        parse_study(TEMPLATE).name = "other"
+        parse_study(EXAMPLE).name = "other"
 
 
 def test_the_json_schema_takes_numbers_and_text_for_quantities():
@@ -153,7 +154,7 @@ def test_reading_a_study_does_not_load_numerical_libraries():
 
 # What replaces a piece of a good file, where the error must stand (a piece of the broken file), the path
 # and words of the message.
-BAD_TEMPLATE = [
+BAD_EXAMPLE = [
     ("name: Mass against", "nam: Mass against", "nam: Mass", "nam", "unknown key; did you mean 'name'"),
     ("fosopt: 1 ", "fosopt: 77 ", "77 ", "fosopt", "use 1"),
     ("boundary: pinned ", "boundary: pined ", "pined ", "structure.boundary", "'table', 'fixed' or 'pinned'"),
@@ -449,7 +450,7 @@ BAD_TRUSS = [
 
 @pytest.mark.parametrize(
     ("text", "old", "new", "at", "path", "words"),
-    [(TEMPLATE, *case) for case in BAD_TEMPLATE] + [(TRUSS, *case) for case in BAD_TRUSS],
+    [(EXAMPLE, *case) for case in BAD_EXAMPLE] + [(TRUSS, *case) for case in BAD_TRUSS],
 )
 def test_a_broken_rule_is_one_line_with_its_place(text, old, new, at, path, words):
     assert text.count(old) == 1
@@ -478,10 +479,10 @@ def test_bombs_are_refused_quickly():
 
 
 def test_a_few_aliases_are_read():
-    text = TEMPLATE.replace("band: [0.1 Hz, 2 kHz]", "band: &band [0.1 Hz, 2 kHz]", 1)
+    text = EXAMPLE.replace("band: [0.1 Hz, 2 kHz]", "band: &band [0.1 Hz, 2 kHz]", 1)
     at = text.rindex("band: [")
     text = text[:at] + text[at:].replace("band: [0.1 Hz, 2 kHz]", "band: *band", 1)
-    assert parse_study(text).disturbances[1].band == parse_study(TEMPLATE).disturbances[1].band
+    assert parse_study(text).disturbances[1].band == parse_study(EXAMPLE).disturbances[1].band
 
 
 def test_unreadable_files_are_refused(tmp_path):
@@ -499,7 +500,7 @@ def test_unreadable_files_are_refused(tmp_path):
 
 def test_overrides_replace_and_add_values(tmp_path):
     path = tmp_path / "study.yaml"
-    path.write_text("\ufeff" + TEMPLATE, encoding="utf-8")
+    path.write_text("\ufeff" + EXAMPLE, encoding="utf-8")
     study = load_study(
         path,
         [
@@ -536,7 +537,7 @@ def test_overrides_replace_and_add_values(tmp_path):
 )
 def test_a_broken_override_is_named(tmp_path, assignment, words):
     path = tmp_path / "study.yaml"
-    path.write_text(TEMPLATE, encoding="utf-8")
+    path.write_text(EXAMPLE, encoding="utf-8")
     with pytest.raises(StudyError, match=words) as caught:
         load_study(path, [assignment])
     assert str(caught.value).startswith(f"--set {assignment}")
@@ -546,7 +547,7 @@ PSD = "frequency_hz,psd_urad^2/Hz\n1,2\n10,3\n\n100,4\n"
 
 
 def with_files(folder: Path, psd: str = PSD, at: str = "sensor_noise") -> Path:
-    text = TEMPLATE.replace(
+    text = EXAMPLE.replace(
         "filter: {type: high_pass, corner: 70 Hz, order: 1, density: 0.01 urad/sqrt(Hz)}", "psd: noise.csv"
     )
     text = text.replace("at: sensor_noise\n", f"at: {at}\n").replace("uniform: 0.1 %", "table: damping.csv")
@@ -567,7 +568,7 @@ def test_side_files_are_read_beside_the_study(tmp_path):
     assert read_damping(study).damping_ratio == (0.001, 0.002)
     assert side_files(study) == (tmp_path / "noise.csv", tmp_path / "damping.csv")
     assert read_damping(
-        parse_study(TEMPLATE.replace("uniform: 0.1 %", "table: [[1, .1], [2, .2]]"))
+        parse_study(EXAMPLE.replace("uniform: 0.1 %", "table: [[1, .1], [2, .2]]"))
     ).frequency == (1.0, 2.0)
 
 
@@ -623,7 +624,7 @@ def test_a_missing_table_or_one_too_short_for_the_band_is_the_study_files_error(
 
 
 def test_the_description_states_the_problem():
-    text = "\n".join(describe_study(parse_study(TEMPLATE)))
+    text = "\n".join(describe_study(parse_study(EXAMPLE)))
     for line in (
         "minimize    structural_mass",
         "subject to  first_elastic_frequency ≥ 6 Hz",
@@ -669,7 +670,7 @@ def paths(data, path=()):
         yield from paths(inner, (*path, key))
 
 
-PLACES = [(text, path) for text in (TEMPLATE, TRUSS) for path in paths(plain(text))]
+PLACES = [(text, path) for text in (EXAMPLE, TRUSS) for path in paths(plain(text))]
 
 
 @given(st.sampled_from(PLACES), VALUES)
@@ -684,13 +685,13 @@ def test_any_value_anywhere_loads_or_is_a_study_error(place, value):
 
 
 @given(
-    st.integers(0, len(TEMPLATE)),
+    st.integers(0, len(EXAMPLE)),
     st.integers(0, 40),
     st.text(max_size=12) | st.text("[]{}:,&*!|>-#?%@'\" \n\t", max_size=12),
 )
 @settings(max_examples=300, deadline=None)
 def test_any_damage_to_the_text_loads_or_is_a_study_error(start, length, piece):
-    loads_or_refuses(TEMPLATE[:start] + piece + TEMPLATE[start + length :])
+    loads_or_refuses(EXAMPLE[:start] + piece + EXAMPLE[start + length :])
 
 
 def loads_or_refuses(text):
