@@ -30,7 +30,7 @@ demo: $(READY)
 	$(BIN)/fosopt run studies/mass-jitter.yaml --out runs/mass-jitter
 
 bench: $(READY)
-	@set -e; for file in benchmarks/bench_*.py; do echo "$$file"; $(BIN)/python "$$file"; done
+	@set -e; for file in $$(grep -l '^if __name__' benchmarks/*.py); do echo "$$file"; $(BIN)/python "$$file"; done
 
 clean:
 	rm -rf .venv .mypy_cache .ruff_cache .pytest_cache .hypothesis build dist *.egg-info

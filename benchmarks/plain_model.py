@@ -154,7 +154,8 @@ def _closed_loop(
     spring = inertia * p.mirror_frequency**2
     damper = 2 * p.mirror_damping_ratio * p.mirror_frequency * inertia
     kp, ki, kd = p.gain * kp, p.gain * ki, p.gain * kd
-    corner_sight, corner_noise, density = p.line_of_sight[0], p.sensor_noise[0], p.sensor_noise[1] / np.sqrt(2)
+    corner_sight, corner_noise = p.line_of_sight[0], p.sensor_noise[0]
+    density = p.sensor_noise[1] / np.sqrt(2)  # two-sided
 
     # Signals are rows over the states and the four noises, side by side.
     signal = np.eye(size, size + 4)

@@ -305,21 +305,54 @@ def _turn_repeated(eigenvalue: Array, shapes: Array, row: Array) -> Array:
     return turned
 
 
+@dataclass(frozen=True)
+class ImpedanceChange:
+    """How modal damping and a held hub follow mass and stiffness, in the frozen modal frame.
+
+    Modal damping C = M c(M⁻¹K) has dC_kl = Γ_kl dK_kl + Ψ_kl dM_kl with divided differences of c(λ) that stay
+    finite where modes cross [Higham2008]; the stiffness of a held hub follows the mass alone.
+
+    Attributes
+    ----------
+    damping_by_stiffness, damping_by_mass, hub_by_mass
+        (n, n) Γ [s], Ψ [1/s], and that of the hub [1/s²].
+    """
+
+    damping_by_stiffness: Array
+    damping_by_mass: Array
+    hub_by_mass: Array
+
+
+def impedance_change(eigenvalue: Array, modes: ModalSet, damping: Damping) -> ImpedanceChange:
+    """Change of damping and hub stiffness with dK and dM for modes of the given elastic eigenvalues."""
+    elastic = np.flatnonzero(~modes.rigid)
+    by_stiffness, by_mass, hub = (np.zeros((eigenvalue.size, eigenvalue.size)) for _ in range(3))
+    w, z = np.sqrt(eigenvalue[elastic]), modes.damping_ratio[elastic]
+    mean = 0.5 * (z[:, None] + z) / (w[:, None] + w)
+    slope = damping.slopes(w, z)
+    block = np.ix_(elastic, elastic)
+    by_stiffness[block] = 2 * mean + slope
+    by_mass[block] = 2 * (w[:, None] * w) * (mean - slope / 2)
+    for r in np.flatnonzero(modes.rigid):
+        by_mass[r, :] = by_mass[:, r] = modes.damping[r]
+        hub[r, :] = hub[:, r] = modes.stiffness[r]
+    return ImpedanceChange(by_stiffness, by_mass, hub)
+
+
 def receptance_functional(
     frame: ModalFrame,
     modes: ModalSet,
     damping: Damping,
     kept: NDArray[np.intp],
     s: ComplexArray,
+    modal: ComplexArray,
     direct: ComplexArray,
     cross: ComplexArray,
     mirror_port: str,
 ) -> tuple[Array, Array]:
     """Gradient of Re Σ_i [a_i dg_hh(s_i) + b_i dg_h0(s_i)] for the row weights of stiffness and mass.
 
-    With ψ_p = φ_p/(s² + c s + ω²), dg_pq = −ψ_pᵀ (s² dM + s dC + dK) ψ_q. Modal damping C = M c(M⁻¹K) has
-    dC_kl = Γ_kl dK_kl + Ψ_kl dM_kl with divided differences of c(λ) that stay finite where modes cross
-    [Higham2008].
+    With ψ_p = φ_p/(s² + c s + ω²), dg_pq = −ψ_pᵀ (s² dM + s dC + dK) ψ_q, and dC of `ImpedanceChange`.
 
     Parameters
     ----------
@@ -327,8 +360,10 @@ def receptance_functional(
         All modes of the frame.
     kept
         Indices of the modes that make up g; the others enter through the change of the kept shapes.
-    s, direct, cross
-        (m,) points and the coefficients a, b.
+    s, modal
+        (m,) points and (m, r) modal receptances ψ/φ of the kept modes there.
+    direct, cross
+        (m,) coefficients a, b.
 
     Returns
     -------
@@ -336,36 +371,22 @@ def receptance_functional(
         Derivatives for the stiffness and mass weights.
     """
     inside = modes if kept.size == modes.rigid.size else modes.keep(kept)
-    psi = 1.0 / (s[:, None] ** 2 + inside.damping * s[:, None] + inside.stiffness)
     h, o = inside.at(mirror_port), inside.at("hub")
-    left = psi * h
-    right = direct[:, None] * left + cross[:, None] * (psi * o)
-    powers = [_real_product(left, right * s[:, None] ** p) for p in range(3)]
-
-    lam, ratio, rigid = frame.eigenvalue[kept], inside.damping_ratio, inside.rigid
-    omega = np.sqrt(lam)
-    elastic = np.flatnonzero(~rigid)
-    gamma = np.zeros((lam.size, lam.size))
-    psi_damping, psi_stiffness = np.zeros_like(gamma), np.zeros_like(gamma)
-    w, z = omega[elastic], ratio[elastic]
-    mean = 0.5 * (z[:, None] + z) / (w[:, None] + w)
-    slope = damping.slopes(w, z)
-    block = np.ix_(elastic, elastic)
-    gamma[block] = 2 * mean + slope
-    psi_damping[block] = 2 * (w[:, None] * w) * (mean - slope / 2)
-    for r in np.flatnonzero(rigid):
-        psi_damping[r, :] = psi_damping[:, r] = inside.damping[r]
-        psi_stiffness[r, :] = psi_stiffness[:, r] = inside.stiffness[r]
-
-    in_stiffness = -(powers[0] + gamma * powers[1])
-    in_mass = -(powers[2] + psi_damping * powers[1] + psi_stiffness * powers[0])
+    left = modal * h
+    right = direct[:, None] * left + cross[:, None] * (modal * o)
+    first = right * s[:, None]
+    powers = [_real_product(left, right), _real_product(left, first), _real_product(left, first * s[:, None])]
+    lam = frame.eigenvalue[kept]
+    change = impedance_change(frame.eigenvalue[kept], inside, damping)
+    in_stiffness = -(powers[0] + change.damping_by_stiffness * powers[1])
+    in_mass = -(powers[2] + change.damping_by_mass * powers[1] + change.hub_by_mass * powers[0])
     if kept.size == frame.eigenvalue.size:
         return frame.contract(in_stiffness, in_mass)
 
     # The kept shapes also turn toward the modes left out: dφ_k = Σ_j φ_j (dK_jk − λ_k dM_jk)/(λ_k − λ_j).
     out = np.setdiff1d(np.arange(frame.eigenvalue.size), kept)
-    by_h = np.real((2 * direct[:, None] * psi * h + cross[:, None] * psi * o).sum(axis=0))
-    by_o = np.real((cross[:, None] * psi * h).sum(axis=0))
+    by_h = np.real((2 * direct[:, None] * modal * h + cross[:, None] * modal * o).sum(axis=0))
+    by_o = np.real((cross[:, None] * modal * h).sum(axis=0))
     shapes_h, shapes_o = modes.at(mirror_port)[out], modes.at("hub")[out]
     turn = (by_h[:, None] * shapes_h + by_o[:, None] * shapes_o) / (lam[:, None] - frame.eigenvalue[out])
     n = frame.eigenvalue.size

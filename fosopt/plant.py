@@ -24,6 +24,7 @@ from fosopt.modes import ModalSet
 from fosopt.ops import Array
 
 _MAX_ITERATIONS = 200
+_TUNED = 1e-9
 
 
 def secular(mirror: Mirror, eigenvalue: Any, g: Any) -> Any:
@@ -103,7 +104,8 @@ def coupled_modes(modes: ModalSet, mirror: Mirror, mirror_port: str) -> CoupledM
     moved = (shape2 > 0) & (uncoupled > 0)
     base, distance, reaction = _roots(mirror, uncoupled, shape2, moved)
     poles = uncoupled[moved]
-    below = int(np.count_nonzero(poles < mirror.natural_frequency**2))
+    # A mode tuned to the mirror counts as one below it, as in the dissertation's case 2 (table 3.3).
+    below = int(np.count_nonzero(poles <= mirror.natural_frequency**2 * (1 + _TUNED)))
     zero = np.insert(poles, below, np.nan)
     same = base == zero
     separation = np.where(same, distance, base + distance - zero) / zero
@@ -146,7 +148,8 @@ def _roots(
         eigenvalue = base + distance
         g = (weight / gap).sum(axis=1)
         slope = (weight / gap**2).sum(axis=1)
-        rest = constant - eigenvalue * (1 + k * g)
+        # Subtracted this way, a mirror tuned to an uncoupled mode keeps the digits of its distance.
+        rest = ((constant - base) - distance) - eigenvalue * k * g
         rest_slope = -(1 + k * g) - eigenvalue * k * slope
         strength = np.zeros(base.size)
         strength[rows] = k * weight[own[rows]]

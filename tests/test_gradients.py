@@ -36,7 +36,7 @@ from fosopt.problem import (
     branched,
     design_parameters,
 )
-from fosopt.structure import assemble
+from fosopt.structure import assemble, barker_truss
 from fosopt.symbolic import (
     LOOP_PARAMETERS,
     Differentiable,
@@ -84,8 +84,11 @@ CONFIGURATIONS = {
         NO_STEP | {"boundary": "fixed", "hub": Hub("fixed"), "disturbances": (COOLING, AIR, SENSOR)},
         INDEXED,
     ),
-    # Here the rightmost pole is all but cancelled.
-    "hardly coupled": (NO_STEP | {"percent": 1e-9, "disturbances": ()}, INDEXED),
+    # Here the rightmost pole is all but cancelled. Gradients of J̄ lose as many digits as the separation has zeros.
+    "hardly coupled": (
+        NO_STEP | {"percent": 1e-9, "disturbances": ()},
+        tuple(r for r in INDEXED if "reaction" not in r[0]),
+    ),
     "chosen modes": (NO_STEP | {"selection": ModeSelection(keep=(0, 1, 2, 5, 7))}, OWN),
     "without the rigid mode": (NO_STEP | {"selection": ModeSelection(keep=(1, 2, 3))}, OWN),
     "table damping": (NO_STEP | {"damping": TABLE_DAMPING}, ()),
@@ -146,7 +149,9 @@ def check(system, design, references, rng, steps=STEPS, apart=False):
         # Differences admit their own error; a derivative that is small against its value is known to 1e-8 of it.
         allowed = 1e-6 * np.abs(expected) + 3 * error + 1e-8 * np.abs(values)
         wrong = np.flatnonzero(~(np.abs(found - expected) <= allowed))
-        assert not wrong.size, [(references[i], *map(float, (found[i], expected[i], error[i]))) for i in wrong]
+        assert not wrong.size, [
+            (references[i], *map(float, (found[i], expected[i], error[i]))) for i in wrong
+        ]
 
 
 @pytest.mark.parametrize("name", CONFIGURATIONS)
@@ -204,6 +209,46 @@ def test_the_branches_of_a_minimum_have_their_own_gradients():
         found = np.array([gradient @ direction for _, gradient in branches])
         assert np.all(np.abs(found - expected) <= 1e-6 * np.abs(expected) + 3 * error + 1e-9)
     assert evaluation.branches("jitter_total") == [evaluation.metric("jitter_total")]
+
+
+def test_a_mode_the_loop_does_not_see_gives_the_gradient_of_its_own_decay():
+    # A mast that the mirror bends in one direction only; the other is rightmost and stays where it is.
+    structure = assemble(reference.square_mast(stretch=2.0), "tip")
+    mirror = replace(reference.mirror_of(reference.structure(), 0.2), inertia=0.02)
+    damping = Damping((0.001, 0.02), (10.0, 3000.0))
+    system = System(structure, "tip", Hub("fixed"), damping, (COOLING,))
+    design = Design(structure.area, structure.batten_mass, 50.0, reference.loop_of(mirror))
+    evaluation = Evaluation(system, design)
+    modes = evaluation.modes
+    slow = int(np.argmin(modes.damping))
+    assert abs(modes.at("tip")[slow]) < 1e-12
+    value, gradient = evaluation.metric("spectral_abscissa")
+    frequency, by_frequency = evaluation.metric("structure_frequency", slow + 1)
+    ratio = modes.damping_ratio[slow]
+    assert value == pytest.approx(-ratio * frequency, rel=1e-12, abs=0)
+    rate = ratio + frequency * (0.02 - 0.001) / (3000.0 - 10.0)
+    assert np.abs(gradient + rate * by_frequency).max() <= 1e-6 * np.abs(gradient).max()
+
+
+def test_a_mirror_on_held_ground_leaves_all_modes_alone_and_the_slowest_decides():
+    truss = barker_truss("fixed", 6)
+    grounded = replace(truss, ports={"hub": ("B0", "rz"), "tip": ("B0", "rz")})
+    structure = assemble(grounded, "tip")
+    mirror = replace(reference.mirror_of(reference.structure(), 0.2), inertia=0.02)
+    system = System(structure, "tip", Hub("fixed"), Damping((0.001,)), ())
+    design = Design(structure.area, structure.batten_mass, 50.0, reference.loop_of(mirror))
+    evaluation = Evaluation(system, design)
+    value, gradient = evaluation.metric("spectral_abscissa")
+    frequency, by_frequency = evaluation.metric("structure_frequency", 1)
+    assert value == pytest.approx(-0.001 * frequency, rel=1e-12, abs=0)
+    assert np.abs(gradient + 0.001 * by_frequency).max() <= 1e-12 * np.abs(gradient).max()
+
+
+def test_a_disturbance_that_cannot_reach_the_line_of_sight_has_no_jitter_and_no_gradient():
+    system, design = case(1, boundary="fixed", hub=Hub("fixed"), step=None)
+    value, gradient = Evaluation(system, design).metric("jitter_aft_body")
+    assert value == 0
+    assert np.all(gradient == 0)
 
 
 def test_coupled_modes_of_a_truncated_model_have_no_gradient():

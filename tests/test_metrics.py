@@ -69,7 +69,7 @@ def lyapunov_rms(system):
 def response(evaluation, name, frequency):
     model = evaluation.model
     s = 1j * np.atleast_1d(frequency)
-    return closed_loop_response(name, model.loop, s, model.receptances(s))
+    return closed_loop_response(name, model.loop, s, model.points(s).g)
 
 
 def by_quad(evaluation, disturbance, low, high):
@@ -454,12 +454,12 @@ def test_the_modulus_margin_is_the_least_distance_over_a_dense_grid(seed):
     local = resonances.imag[:, None] + np.abs(resonances.real)[:, None] * np.sinh(np.linspace(-7, 7, 400))
     grid = np.concatenate([local[local > 0], np.geomspace(0.01, 1e6, 4000)])
     s = 1j * grid
-    distance = np.abs(1 + loop_transfer(model.loop, s, model.receptances(s)))
+    distance = np.abs(1 + loop_transfer(model.loop, s, model.points(s).g))
     found = evaluation.value("modulus_margin")
     # A grid can only miss the minimum, by the square of its spacing in half widths, 0.035.
     assert found <= distance.min() * (1 + 1e-12)
     assert found == pytest.approx(distance.min(), rel=1e-3, abs=0)
-    sensitivity = closed_loop_response("line_of_sight", model.loop, s, model.receptances(s))
+    sensitivity = closed_loop_response("line_of_sight", model.loop, s, model.points(s).g)
     assert 1 / found == pytest.approx(np.abs(sensitivity).max(), rel=1e-3, abs=0)
 
 
@@ -485,7 +485,7 @@ def test_at_the_crossover_the_loop_gain_is_one_and_below_one_beyond(percent, see
     local = resonances[:, None] * (1 + 1e-3 * np.sinh(np.linspace(-4, 4, 161)))
     beyond = np.concatenate([local.ravel(), frequency * np.geomspace(1, 1e3, 2000)])
     s = 1j * np.concatenate([[frequency], beyond[beyond > frequency * (1 + 1e-9)]])
-    gain = np.abs(loop_transfer(evaluation.model.loop, s, evaluation.model.receptances(s)))
+    gain = np.abs(loop_transfer(evaluation.model.loop, s, evaluation.model.points(s).g))
     assert gain[0] == pytest.approx(1.0, rel=1e-10)
     assert np.all(gain[1:] < 1)
 
@@ -516,7 +516,7 @@ def test_residues_at_the_poles_rebuild_the_transfer_function():
         pair = poles.multiplicity == 2
         terms = (residues / (s[:, None] - poles.value)).sum(axis=1)
         terms += (residues[pair].conj() / (s[:, None] - poles.value[pair].conj())).sum(axis=1)
-        expected = closed_loop_response(name, model.loop, s, model.receptances(s))
+        expected = closed_loop_response(name, model.loop, s, model.points(s).g)
         assert np.abs(terms - expected).max() < 1e-10 * np.abs(expected).max()
 
 

@@ -24,6 +24,7 @@ from fosopt.ops import Array, ComplexArray, Dual
 _MAX_ITERATIONS = 60
 _CONVERGED = 1e-9  # relative step of a shift; convergence is at least quadratic, so one more step is exact
 _TRACE = 1e-8
+_SAME = 1e-13
 
 
 @dataclass(frozen=True)
@@ -112,7 +113,7 @@ def open_loop_poles(modes: ModalSet, mirror_port: str) -> OpenLoopPoles:
     stiffness, half = modes.stiffness, 0.5 * modes.damping
     root = np.sqrt((half**2 - stiffness).astype(complex))
     first, second = -half + root, -half - root
-    h, o = modes.at(mirror_port), modes.at("hub")
+    h, o = _combined(modes, mirror_port)
     seen = h != 0.0
     hidden = ~seen & (stiffness > 0)
     return OpenLoopPoles(
@@ -123,6 +124,24 @@ def open_loop_poles(modes: ModalSet, mirror_port: str) -> OpenLoopPoles:
         np.concatenate([first[hidden], second[hidden]]),
         drifting=bool(np.any(stiffness == 0)),
     )
+
+
+def _combined(modes: ModalSet, mirror_port: str) -> tuple[Array, Array]:
+    """Mode shapes at mirror port and hub, with modes of one and the same pole combined into one.
+
+    Modes that share frequency and damping act as one with h² = Σ h_k²; what is left of them the mirror cannot move.
+    """
+    h, o = modes.at(mirror_port).copy(), modes.at("hub").copy()
+    order = np.argsort(modes.stiffness, kind="stable")
+    stiffness, damping = modes.stiffness[order], modes.damping[order]
+    same = (np.diff(stiffness) <= _SAME * stiffness[1:]) & (np.abs(np.diff(damping)) <= _SAME * damping[1:])
+    for i in np.flatnonzero(same & (stiffness[1:] > 0)):
+        lower, upper = order[i], order[i + 1]
+        size = np.hypot(h[lower], h[upper])
+        if size > 0:
+            o[upper] = (h[lower] * o[lower] + h[upper] * o[upper]) / size
+            h[lower], h[upper] = 0.0, size
+    return h, o
 
 
 def closed_loop_poles(loop: Loop, modes: ModalSet, mirror_port: str) -> ClosedLoopPoles:
@@ -189,7 +208,10 @@ def _start(loop: Loop, open_loop: OpenLoopPoles) -> tuple[ComplexArray, ComplexA
     delta = characteristic(loop, structural, Receptances(rest, 0.0))
     other = np.where(structural == open_loop.first[own], open_loop.second[own], open_loop.first[own])
     push = loop.mirror.inertia * structural**2 * coupling(loop, structural) * open_loop.mirror_shape[own] ** 2
-    first_order = -push / (delta * (structural - other))
+    gap = structural - other
+    # Two poles in one place (critical damping) part as the square root of the push.
+    apart = np.where(gap == 0, np.sqrt((-push / delta).astype(complex)), gap)
+    first_order = -push / (delta * apart)
     limit = 0.2 * np.abs(structural)
     first_order *= np.minimum(1.0, limit / np.maximum(np.abs(first_order), 1e-300))
     shift[: own.size] = np.where(multiplicity[: own.size] == 1, first_order.real, first_order)

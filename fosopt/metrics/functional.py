@@ -3,27 +3,31 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
 from fosopt.control import Loop, Receptances
 from fosopt.modes import ModalSet
-from fosopt.ops import ComplexArray
+from fosopt.ops import Array, ComplexArray
 
 
 @dataclass(frozen=True)
 class Points:
-    """Points of the complex plane with the receptances there, so that nobody computes those twice.
+    """Points of the complex plane with what the structure does there, so that nobody computes it twice.
 
     Attributes
     ----------
     s
         (m,) [rad/s].
+    modal
+        (m, n) modal receptances 1/(s² + 2ζ_k ω_k s + ω_k²).
     g
         Receptances at `s`.
     """
 
     s: ComplexArray
+    modal: ComplexArray
     g: Receptances
 
 
@@ -54,23 +58,29 @@ class LoopModel:
     modes: ModalSet
     mirror_port: str
 
-    def receptances(self, s: ComplexArray) -> Receptances:
-        """Receptances the mirror sees at (m,) points away from open-loop poles."""
-        modes = self.modes
-        inverse = 1.0 / (s[:, None] ** 2 + modes.damping * s[:, None] + modes.stiffness)
-        h = modes.at(self.mirror_port)
-        both = inverse @ np.column_stack([h * h, h * modes.at("hub")])
-        return Receptances(both[:, 0], both[:, 1])
-
     def points(self, s: ComplexArray) -> Points:
-        """Points with their receptances."""
-        return Points(s, self.receptances(s))
-
-    def receptance_slopes(self, s: ComplexArray) -> Receptances:
-        """Derivatives of the receptances in `s`."""
+        """(m,) points away from open-loop poles, with what the structure does there."""
         modes = self.modes
-        linear = 2 * s[:, None] + modes.damping
-        inverse = 1.0 / (s[:, None] ** 2 + modes.damping * s[:, None] + modes.stiffness)
-        h = modes.at(self.mirror_port)
-        both = -(linear * inverse**2) @ np.column_stack([h * h, h * modes.at("hub")])
+        return self._points(s, 1.0 / (s[:, None] ** 2 + modes.damping * s[:, None] + modes.stiffness))
+
+    def points_near_pole(self, base: complex, shift: complex) -> Points:
+        """The point base + shift, exact however close it is to the open-loop pole `base`."""
+        half = 0.5 * self.modes.damping
+        root = np.sqrt((half**2 - self.modes.stiffness).astype(complex))
+        first, second = (base - (root - half)) + shift, (base - (-root - half)) + shift
+        return self._points(np.array([base + shift]), 1.0 / (first * second)[None, :])
+
+    def _points(self, s: ComplexArray, modal: ComplexArray) -> Points:
+        both = modal @ self._pairs
+        return Points(s, modal, Receptances(both[:, 0], both[:, 1]))
+
+    def slopes(self, points: Points) -> Receptances:
+        """Derivatives of the receptances in `s`."""
+        linear = 2 * points.s[:, None] + self.modes.damping
+        both = -(linear * points.modal**2) @ self._pairs
         return Receptances(both[:, 0], both[:, 1])
+
+    @cached_property
+    def _pairs(self) -> Array:
+        h = self.modes.at(self.mirror_port)
+        return np.column_stack([h * h, h * self.modes.at("hub")])

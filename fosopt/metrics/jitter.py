@@ -19,10 +19,12 @@ import numpy as np
 
 from fosopt.control import NUMERATORS, ClosedLoopPoles, characteristic, closed_loop_response
 from fosopt.errors import UnstableError
-from fosopt.metrics.disturbances import Disturbance
+from fosopt.metrics.disturbances import Disturbance, refuse_infinite_variance
 from fosopt.metrics.functional import Functional, LoopModel, Points
 from fosopt.ops import Array, ComplexArray, Dual
 
+# Poles of filter and loop closer than this (relative) share a residue that loses as many digits.
+_MEETING = 1e-4
 _NODES = 20  # per half panel; 20 leave 1e-10 of a resonance a thousand times narrower than its panel
 
 
@@ -54,13 +56,25 @@ def jitter_variances(
         raise UnstableError(
             f"closed loop is unstable: a pole has the real part {poles.spectral_abscissa:.6g} rad/s"
         )
+    for disturbance in disturbances:
+        refuse_infinite_variance(disturbance, model.loop, poles.open_loop.drifting)
     mirrored = model.points(2 * shift - poles.value)
     return [
         _by_residues(model, poles, disturbance, mirrored, shift)
-        if disturbance.by_residues
+        if disturbance.by_residues and _apart(poles, disturbance)
         else _by_quadrature(model, poles, disturbance, shift)
         for disturbance in disturbances
     ]
+
+
+def _apart(poles: ClosedLoopPoles, disturbance: Disturbance) -> bool:
+    """Whether no pole of the shaping filter meets one of the loop, where residues of both grow without limit."""
+    shape = disturbance.filter
+    assert shape is not None
+    if not shape.poles.size:
+        return True
+    known = np.concatenate([poles.value, poles.value.conj()])
+    return bool(np.all(np.abs(shape.poles[:, None] - known) > _MEETING * np.abs(shape.poles)[:, None]))
 
 
 def pole_residues(model: LoopModel, poles: ClosedLoopPoles, response: str) -> ComplexArray:
@@ -81,9 +95,7 @@ def _by_residues(
     own = poles.multiplicity * pole_residues(model, poles, disturbance.at) * shape.response(poles.value)
     groups = [(mirrored, own)]
     if shape.poles.size:
-        at_filter = closed_loop_response(
-            disturbance.at, model.loop, shape.poles, model.receptances(shape.poles)
-        )
+        at_filter = closed_loop_response(disturbance.at, model.loop, shape.poles, model.points(shape.poles).g)
         groups.append((model.points(2 * shift - shape.poles), at_filter * shape.residues))
     variance, functionals = 0.0, []
     for points, residues in groups:

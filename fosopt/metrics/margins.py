@@ -2,24 +2,32 @@
 
 from __future__ import annotations
 
-import numpy as np
+from collections.abc import Callable
+from dataclasses import replace
 
-from fosopt.control import ClosedLoopPoles, Receptances, characteristic, loop_transfer
+import numpy as np
+from numpy.typing import NDArray
+
+from fosopt.control import PID, ClosedLoopPoles, Receptances, characteristic, closed_loop_poles, loop_transfer
 from fosopt.errors import SolverError
-from fosopt.metrics.functional import Functional, LoopModel, Points
+from fosopt.metrics.functional import Functional, LoopModel
+from fosopt.metrics.inertias import ModalFunctional
+from fosopt.modes import Damping, ModalSet, impedance_change
 from fosopt.ops import Array, ComplexArray, Dual
 
 _BISECTIONS = 60
+# A pole that rounding has put on its open-loop pole is looked at this far from it (relative).
+_LEAST_SHIFT = 1e-12
 _OFFSETS = np.sinh(np.linspace(-3.5, 3.5, 9))  # in half widths about each resonance
 _GRID = 120
 
 
 def loop_transfer_slope(model: LoopModel, frequency: Array) -> tuple[ComplexArray, ComplexArray]:
     """L(jω) and dL/dω at (m,) frequencies [rad/s]."""
-    s = 1j * frequency
-    g, slope = model.receptances(s), model.receptance_slopes(s)
+    points = model.points(1j * frequency)
+    g, slope = points.g, model.slopes(points)
     value = loop_transfer(
-        model.loop, Dual(s, 1.0), Receptances(Dual(g.direct, slope.direct), Dual(g.cross, slope.cross))
+        model.loop, Dual(points.s, 1.0), Receptances(Dual(g.direct, slope.direct), Dual(g.cross, slope.cross))
     )
     return value.value, 1j * value.slope
 
@@ -53,18 +61,13 @@ def modulus_margins(model: LoopModel, poles: ClosedLoopPoles, count: int) -> tup
     grid = frequency_grid(model, poles)
     value, slope = loop_transfer_slope(model, grid)
     distance = np.abs(1 + value)
-    rising = np.real((1 + value).conj() * slope) > 0
-    left = np.flatnonzero(~rising[:-1] & rising[1:])
-    left = left[np.argsort(np.minimum(distance[left], distance[left + 1]), kind="stable")][: count + 2]
-    low, high = grid[left], grid[left + 1]
-    for _ in range(_BISECTIONS):
-        middle = 0.5 * (low + high)
-        value, slope = loop_transfer_slope(model, middle)
-        up = np.real((1 + value).conj() * slope) > 0
-        low, high = np.where(up, low, middle), np.where(up, middle, high)
-        if np.all(high - low <= 1e-12 * high):
-            break
-    frequency = 0.5 * (low + high)
+    falling = -_squared_slope(value, slope, 1.0)
+    brackets = _falls(falling)
+    brackets = brackets[np.argsort(np.minimum(distance[brackets], distance[brackets + 1]), kind="stable")]
+    brackets = brackets[: count + 2]
+    frequency = _stationary(
+        lambda w: -_squared_slope(*loop_transfer_slope(model, w), 1.0), grid[brackets], grid[brackets + 1]
+    )
     value, _ = loop_transfer_slope(model, frequency)
     distance = np.abs(1 + value)
     order = np.argsort(distance, kind="stable")[:count]
@@ -76,6 +79,27 @@ def modulus_margins(model: LoopModel, poles: ClosedLoopPoles, count: int) -> tup
     none = Functional("loop_transfer", model.points(1j * grid[:1]), np.zeros(1, complex))
     missing = count - len(distances)
     return np.array(distances + [1.0] * missing), functionals + [none] * missing
+
+
+def _squared_slope(value: ComplexArray, slope: ComplexArray, center: float) -> Array:
+    """Slope of |center + L(jω)|² in ω, halved."""
+    return np.real((center + value).conj() * slope)
+
+
+def _falls(values: Array) -> NDArray[np.intp]:
+    """Indices after which a sequence falls through zero."""
+    return np.flatnonzero((values[:-1] > 0) & ~(values[1:] > 0))
+
+
+def _stationary(slope: Callable[[Array], Array], low: Array, high: Array) -> Array:
+    """(m,) Frequencies at which `slope` falls through zero in each of (m,) brackets, by bisection."""
+    for _ in range(_BISECTIONS):
+        middle = 0.5 * (low + high)
+        up = slope(middle) > 0
+        low, high = np.where(up, middle, low), np.where(up, high, middle)
+        if np.all(high - low <= 1e-12 * high):
+            break
+    return 0.5 * (low + high)
 
 
 def crossover(model: LoopModel, poles: ClosedLoopPoles) -> tuple[float, Functional]:
@@ -91,7 +115,15 @@ def crossover(model: LoopModel, poles: ClosedLoopPoles) -> tuple[float, Function
     SolverError
         If the loop gain never reaches one.
     """
-    grid = frequency_grid(model, poles)
+    # The loop gain peaks at the poles of the plant, which only a loop without control has.
+    silent = replace(model.loop, controller=PID(0.0, 0.0, 0.0, 0.0))
+    plant = closed_loop_poles(silent, model.modes, model.mirror_port)
+    grid = np.union1d(frequency_grid(model, poles), frequency_grid(model, plant))
+    peaks = _falls(_squared_slope(*loop_transfer_slope(model, grid), 0.0))
+    tops = _stationary(
+        lambda w: _squared_slope(*loop_transfer_slope(model, w), 0.0), grid[peaks], grid[peaks + 1]
+    )
+    grid = np.union1d(grid, tops)
     above = np.abs(loop_transfer_slope(model, grid)[0]) >= 1
     if not above.any():
         raise SolverError("crossover: the loop gain stays below one at every frequency; raise the gain")
@@ -111,25 +143,42 @@ def crossover(model: LoopModel, poles: ClosedLoopPoles) -> tuple[float, Function
     return float(frequency), Functional("loop_transfer", model.points(np.array([1j * frequency])), weight)
 
 
-def spectral_abscissa(model: LoopModel, poles: ClosedLoopPoles) -> tuple[float, Functional]:
+def spectral_abscissa(model: LoopModel, poles: ClosedLoopPoles) -> tuple[float, Functional | None]:
     """Largest real part of the closed-loop poles, and its differential dp = −dΔ/Δ′ at the rightmost one.
 
-    Assumes the rightmost pole is simple and moved by the mirror; elsewhere it has no differential.
+    Assumes the rightmost pole is simple; elsewhere it has no differential.
 
     Returns
     -------
     float
         [rad/s]; negative for a stable loop. The drift of a free rigid body is not counted.
+    Functional or None
+        None where the rightmost pole is that of a mode with a node at the mirror port, see `decay_functional`.
     """
+    abscissa = poles.spectral_abscissa
     rightmost = int(np.argmax(poles.value.real))
-    # The quotient of two terms that both grow as 1/shift² is the same a little further from the open-loop pole.
+    if poles.value[rightmost].real < abscissa:
+        return abscissa, None
     base, shift = poles.base[rightmost], poles.shift[rightmost]
-    least = 1e-8 * abs(base)
-    if abs(shift) < least:
-        shift = least * (shift / abs(shift) if shift else 1.0)
-    s = np.array([base + shift])
-    g, slope = model.receptances(s), model.receptance_slopes(s)
+    points = model.points_near_pole(base, shift or _LEAST_SHIFT * abs(base))
+    g, slope = points.g, model.slopes(points)
     delta = characteristic(
-        model.loop, Dual(s, 1.0), Receptances(Dual(g.direct, slope.direct), Dual(g.cross, slope.cross))
+        model.loop, Dual(points.s, 1.0), Receptances(Dual(g.direct, slope.direct), Dual(g.cross, slope.cross))
     )
-    return poles.spectral_abscissa, Functional("characteristic", Points(s, g), -1 / delta.slope)
+    return abscissa, Functional("characteristic", points, -1 / delta.slope)
+
+
+def decay_functional(
+    eigenvalue: Array, modes: ModalSet, damping: Damping, mirror_port: str
+) -> ModalFunctional:
+    """Differential of the largest real part among modes the loop does not see: dp = −(p dC + dK)/(2p + c)."""
+    root = np.sqrt((0.25 * modes.damping**2 - modes.stiffness).astype(complex))
+    pole = -0.5 * modes.damping + root
+    hidden = np.flatnonzero((modes.at(mirror_port) == 0) & (modes.stiffness > 0))
+    k = int(hidden[np.argmax(pole[hidden].real)])
+    change = impedance_change(eigenvalue, modes, damping)
+    factor, p = -1 / (2 * pole[k] + modes.damping[k]), pole[k]
+    stiffness, mass = np.zeros_like(change.hub_by_mass), np.zeros_like(change.hub_by_mass)
+    stiffness[k, k] = (factor * (1 + p * change.damping_by_stiffness[k, k])).real
+    mass[k, k] = (factor * (p**2 + p * change.damping_by_mass[k, k] + change.hub_by_mass[k, k])).real
+    return ModalFunctional(stiffness, mass)

@@ -58,7 +58,7 @@ def _error(model: LoopModel, poles: ClosedLoopPoles, time: Array) -> Array:
     if model.loop.controller.ki == 0:
         # Without integral action the step leaves a steady error T(0) − 1.
         near_zero = np.array([1e-9 + 0j])
-        static = closed_loop_response("command", model.loop, near_zero, model.receptances(near_zero))
+        static = closed_loop_response("command", model.loop, near_zero, model.points(near_zero).g)
         steady = float(static[0].real) - 1
     return steady + np.real(np.exp(np.outer(time, poles.value)) @ amplitude)
 

@@ -273,9 +273,16 @@ class Evaluation:
             frequency, functional = margins.crossover(self.model, self.poles)
             return frequency, self._loop_gradient([functional])
         if name == "spectral_abscissa":
-            abscissa, functional = margins.spectral_abscissa(self.model, self.poles)
-            return abscissa, self._loop_gradient([functional])
+            return self._abscissa()
         return self._rigid(name)
+
+    def _abscissa(self) -> Valued:
+        abscissa, functional = margins.spectral_abscissa(self.model, self.poles)
+        if functional is not None:
+            return abscissa, self._loop_gradient([functional])
+        port = self.system.mirror_port
+        hidden = margins.decay_functional(self.frame.eigenvalue, self.all_modes, self.system.damping, port)
+        return abscissa, self._modal_gradient(hidden)
 
     def _rigid(self, name: str) -> Valued:
         """Masses and inertias, which need no modes: linear in the structure's parameters."""
@@ -386,7 +393,8 @@ class Evaluation:
         variance = sum(self.variances[name].value for name in names)
         gradient = self._loop_gradient([f for name in names for f in self.variances[name].functionals])
         rms = float(np.sqrt(variance))
-        return rms, gradient / (2 * rms)
+        # A disturbance that cannot reach the line of sight has no jitter, and no slope of its own.
+        return rms, gradient / (2 * rms) if rms > 0 else np.zeros_like(gradient)
 
     @cached_property
     def _margins(self) -> list[Valued]:
@@ -437,6 +445,7 @@ class Evaluation:
             self.system.damping,
             self.kept,
             np.concatenate([p.s for p in points]),
+            np.concatenate([p.modal for p in points]),
             np.concatenate(by_direct),
             np.concatenate(by_cross),
             self.system.mirror_port,

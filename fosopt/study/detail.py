@@ -93,7 +93,7 @@ def _finite(value: float) -> float | None:
 def _bode(evaluation: Evaluation) -> dict[str, list[float]]:
     grid = _thinned(frequency_grid(evaluation.model, evaluation.poles, count=240), _CURVE)
     s = 1j * grid
-    g = evaluation.model.receptances(s)
+    g = evaluation.model.points(s).g
     loop = evaluation.design.loop
     transfer = loop_transfer(loop, s, g)
     return {
@@ -125,7 +125,7 @@ def _cumulative(evaluation: Evaluation) -> dict[str, list[float]] | None:
         return None
     grid = _thinned(frequency_grid(evaluation.model, evaluation.poles, count=400), 3 * _CURVE)
     s = 1j * grid
-    g = evaluation.model.receptances(s)
+    g = evaluation.model.points(s).g
     loop = evaluation.design.loop
     total = np.zeros(grid.size)
     curves = {}
