@@ -84,6 +84,9 @@ class Certificate:
         Norm of what remains of the scaled gradient; None where the design was not optimized.
     metrics
         Values on the truth model, None where the design has none.
+    truncation_error
+        Relative difference of each metric between the design model and the truth model; empty where the design
+        model keeps all modes.
     constraints
         With slack and multiplier.
     """
@@ -97,6 +100,7 @@ class Certificate:
     jitter_disagreement: float | None
     kkt_residual: float | None
     metrics: dict[str, float | None]
+    truncation_error: dict[str, float]
     constraints: tuple[ConstraintReport, ...]
 
 
@@ -145,6 +149,7 @@ def certify(
             reasons.append(
                 f"jitter: two routes differ by {jitter_disagreement:.1e}, more than {AGREEMENT:.0e}"
             )
+    metrics = metrics_of(truth, stable)
     multipliers, kkt = _optimality(problem, x, constraints, objective, free) if stable else ({}, None)
     if kkt is not None and not kkt <= OPTIMALITY:
         reasons.append(f"optimality: KKT residual {kkt:.1e} exceeds {OPTIMALITY:.0e}")
@@ -168,7 +173,8 @@ def certify(
         disagreement,
         jitter_disagreement,
         kkt,
-        metrics_of(truth, stable),
+        metrics,
+        _truncation_error(problem.evaluate(x), truth, metrics) if stable else {},
         tuple(reports),
     )
 
@@ -186,6 +192,19 @@ def metrics_of(evaluation: Evaluation, stable: bool) -> dict[str, float | None]:
         except FosoptError:
             values[name] = None
     return values
+
+
+def _truncation_error(
+    model: Evaluation, truth: Evaluation, metrics: dict[str, float | None]
+) -> dict[str, float]:
+    if model.kept.size == truth.kept.size:
+        return {}
+    reduced = metrics_of(model, model.stable)
+    return {
+        name: abs(mine / true - 1)
+        for name, true in metrics.items()
+        if true and (mine := reduced[name]) is not None and mine != true
+    }
 
 
 def _mode_residual(frame: ModalFrame, truth: Evaluation) -> float:

@@ -285,7 +285,7 @@ def _refuse_mechanism(structure: Structure, shapes: Array) -> None:
     loosest = shapes[:, int(np.argmin(np.abs(hub)))]
     worst = structure.dofs[int(np.argmax(np.abs(loosest)))]
     raise ModelError(
-        f"structure is a mechanism: {shapes.shape[1]} motions without stiffness, the loosest at '{worst}'; "
+        f"structure is a mechanism: {shapes.shape[1]} motion(s) without stiffness, the loosest at '{worst}'; "
         "only one rotation about the hub may be free: add bars or supports"
     )
 

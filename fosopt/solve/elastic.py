@@ -85,8 +85,7 @@ class ElasticProgram:
             if max(v, p) > _COUNTS
         )
         worst = int(np.argmax(violation))
-        amount = violation[worst] * program.row_scale[worst]
         return (
-            f"constraints conflict: {', '.join(involved)}; no design near here comes closer than "
-            f"{amount:.4g} (SI) on {program.row_names[worst]}; relax one of them or widen bounds"
+            f"constraints conflict: {', '.join(involved)}; every design near here misses the bound on "
+            f"{program.row_names[worst]} by {100 * violation[worst]:.3g} % or more; relax one of them or widen bounds"
         )

@@ -103,6 +103,7 @@ def _point(
         "kkt_residual": _finite(certificate.kkt_residual),
         "spectral_abscissa": certificate.spectral_abscissa,
         "jitter_disagreement": _finite(certificate.jitter_disagreement),
+        "truncation_error": certificate.truncation_error,
         "variables": {name: values.tolist() for name, values in problem.values(x).items()},
         "metrics": certificate.metrics | _composed(problem, x, certificate),
         "constraints": [

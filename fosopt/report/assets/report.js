@@ -128,6 +128,12 @@ function fillPanel([id, , height, caption, make], point) {
   else draw(id, made);
 }
 
+// How far the design model's jitter is from that of the full-order model, where it keeps fewer modes.
+function truncation(point) {
+  const error = point.truncation_error?.jitter_total;
+  return typeof error === "number" ? `${number(100 * error, 2)}\u00a0%` : null;
+}
+
 function facts(point) {
   const parent = point.parent !== null && point.parent !== undefined ? byKey.get(String(point.parent)) : null;
   const known = [
@@ -139,6 +145,7 @@ function facts(point) {
     ["Iterations", point.iterations],
     ["Time", typeof point.seconds === "number" ? `${number(point.seconds, 3)}\u00a0s` : null],
     ["Starts that agree", point.starts ? `${point.starts.agreed} of ${point.starts.tried}` : null],
+    ["Truncation error of the jitter", truncation(point)],
     ["KKT residual", typeof point.kkt_residual === "number" ? number(point.kkt_residual, 2) : null],
   ];
   return known
