@@ -7,6 +7,7 @@ serves numbers, symbols and, through `ComplexPair`, symbols at complex frequenci
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import Any
 
 import casadi as ca
@@ -23,6 +24,7 @@ __all__ = [
     "ComplexPair",
     "Dual",
     "congruence",
+    "congruence_entries",
     "exp",
     "fabs",
     "fmax",
@@ -88,7 +90,21 @@ def linear(matrix: sparse.csr_array, vector: Any) -> Any:
     return _constant(matrix) @ vector if is_symbolic(vector) else matrix @ vector
 
 
-def congruence(rows: sparse.csr_array, weights: Any) -> Any:
+def congruence_entries(rows: sparse.csr_array) -> sparse.csc_array:
+    """(n², k) What each weight of `congruence` adds to each entry, for many evaluations with the same rows."""
+    n, counts = rows.shape[1], np.diff(rows.indptr)
+    places, values = [], []
+    for first, last in pairwise(rows.indptr):
+        index, value = rows.indices[first:last], rows.data[first:last]
+        places.append((n * index[:, None] + index).ravel())
+        values.append(np.outer(value, value).ravel())
+    starts = np.concatenate([[0], np.cumsum(counts**2)])
+    return sparse.csc_array(
+        (np.concatenate(values), np.concatenate(places), starts), shape=(n * n, counts.size)
+    )
+
+
+def congruence(rows: sparse.csr_array, weights: Any, entries: sparse.csc_array) -> Any:
     """``rows.T @ diag(weights) @ rows``, the form of every stiffness and mass matrix here.
 
     Building the symbolic matrix from this product takes 0.1 s for 500 bars, where a sum of element matrices
@@ -102,9 +118,7 @@ def congruence(rows: sparse.csr_array, weights: Any) -> Any:
     if is_symbolic(weights):
         constant = _constant(rows)
         return constant.T @ ca.diag(weights) @ constant
-    weighted = rows.copy()
-    weighted.data = rows.data * np.repeat(np.asarray(weights, dtype=float), np.diff(rows.indptr))
-    return (rows.T @ weighted).toarray()
+    return (entries @ weights).reshape(rows.shape[1], -1)
 
 
 def _constant(matrix: sparse.csr_array) -> ca.DM:
@@ -183,8 +197,9 @@ class Dual:
     slope: Any
 
     def __add__(self, other: Any) -> Dual:
-        o = _dual(other)
-        return Dual(self.value + o.value, self.slope + o.slope)
+        if not isinstance(other, Dual):
+            return Dual(self.value + other, self.slope)
+        return Dual(self.value + other.value, self.slope + other.slope)
 
     def __neg__(self) -> Dual:
         return Dual(-self.value, -self.slope)
@@ -194,8 +209,9 @@ class Dual:
         return Dual(self.value - o.value, self.slope - o.slope)
 
     def __mul__(self, other: Any) -> Dual:
-        o = _dual(other)
-        return Dual(self.value * o.value, self.slope * o.value + self.value * o.slope)
+        if not isinstance(other, Dual):
+            return Dual(self.value * other, self.slope * other)
+        return Dual(self.value * other.value, self.slope * other.value + self.value * other.slope)
 
     def __truediv__(self, other: Any) -> Dual:
         o = _dual(other)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from functools import cache
+from functools import cache, lru_cache
 from typing import Any
 
 import casadi as ca
@@ -89,15 +89,16 @@ def response_function(response: str) -> ca.Function:
     )
 
 
-@cache
-def _partials(response: str) -> ca.Function:
+@lru_cache(maxsize=64)
+def _partials(response: str, count: int) -> ca.Function:
     f = response_function(response)
     p, z = ca.SX.sym("p", f.size1_in(0)), ca.SX.sym("z", 6)
     value = f(p, z)
     # The response is analytic in g, so its derivative is that along the real axis.
     by_g = ca.jacobian(value, z)[:, [2, 4]]
-    everything = ca.horzcat(by_g, ca.jacobian(value, p))
-    return ca.Function(f"{response}_partials", [p, z], [ca.vec(everything)])
+    everything = ca.densify(ca.horzcat(by_g, ca.jacobian(value, p)))
+    single = ca.Function(f"{response}_partials", [p, z], [everything])
+    return single.map(f"{response}_partials_{count}", "serial", count, [0], [])
 
 
 @dataclass(frozen=True)
@@ -119,11 +120,27 @@ class ResponsePartials:
 
 def response_partials(response: str, loop: Loop, s: ComplexArray, g: Receptances) -> ResponsePartials:
     """Partial derivatives of a transfer function of the loop at (m,) points, exact."""
-    point = np.stack([s.real, s.imag, g.direct.real, g.direct.imag, g.cross.real, g.cross.imag])
-    flat = _partials(response)(loop_parameters(loop), point).full()
-    pairs = flat.reshape(-1, 2, s.size)
-    both = pairs[:, 0] + 1j * pairs[:, 1]
+    point = np.stack([s, g.direct, g.cross], axis=1).astype(complex, copy=False).view(float)
+    (flat,) = _call(_partials(response, s.size), loop_parameters(loop), point)
+    both = flat.view(complex).reshape(s.size, -1).T
     return ResponsePartials(both[0], both[1], both[2:])
+
+
+def _call(function: ca.Function, *arguments: Array) -> list[Array]:
+    """Dense outputs of a function, each flat and column by column, as its arguments are expected.
+
+    Goes through memory both sides share: converting matrices takes several times longer than evaluating them.
+    """
+    buffer: Any
+    buffer, run = function.buffer()
+    shared = [np.ascontiguousarray(argument).reshape(-1) for argument in arguments]
+    results = [np.zeros(function.numel_out(i)) for i in range(function.n_out())]
+    for i, memory in enumerate(shared):
+        buffer.set_arg(i, memory.data)
+    for i, memory in enumerate(results):
+        buffer.set_res(i, memory.data)
+    run()
+    return results
 
 
 class Differentiable:
@@ -144,8 +161,8 @@ class Differentiable:
 
     def __call__(self, x: Array) -> tuple[Array, Array]:
         """(m,) values and (m, n) Jacobian at (n,) `x`."""
-        value, jacobian = self._function(x)
-        return value.full().ravel(), jacobian.full()
+        value, jacobian = _call(self._function, x)
+        return value, jacobian.reshape(x.size, value.size).T
 
 
 class OracleFunction(ca.Callback):

@@ -230,18 +230,35 @@ def test_a_mode_the_loop_does_not_see_gives_the_gradient_of_its_own_decay():
     assert np.abs(gradient + rate * by_frequency).max() <= 1e-6 * np.abs(gradient).max()
 
 
-def test_a_mirror_on_held_ground_leaves_all_modes_alone_and_the_slowest_decides():
+@pytest.mark.parametrize("keep", [None, (2, 3)], ids=["all modes", "two modes"])
+def test_a_mirror_on_held_ground_leaves_all_modes_alone_and_the_slowest_kept_decides(keep):
     truss = barker_truss("fixed", 6)
     grounded = replace(truss, ports={"hub": ("B0", "rz"), "tip": ("B0", "rz")})
     structure = assemble(grounded, "tip")
     mirror = replace(reference.mirror_of(reference.structure(), 0.2), inertia=0.02)
-    system = System(structure, "tip", Hub("fixed"), Damping((0.001,)), ())
+    selection = ModeSelection(keep=keep)
+    system = System(structure, "tip", Hub("fixed"), Damping((0.001,)), (), selection=selection)
     design = Design(structure.area, structure.batten_mass, 50.0, reference.loop_of(mirror))
     evaluation = Evaluation(system, design)
     value, gradient = evaluation.metric("spectral_abscissa")
     frequency, by_frequency = evaluation.metric("structure_frequency", 1)
     assert value == pytest.approx(-0.001 * frequency, rel=1e-12, abs=0)
     assert np.abs(gradient + 0.001 * by_frequency).max() <= 1e-12 * np.abs(gradient).max()
+
+
+def test_of_a_repeated_mode_the_half_the_mirror_cannot_move_may_decide():
+    system, design, _ = crossing()
+    modes = Evaluation(system, design).all_modes
+    twins = np.flatnonzero(np.diff(modes.natural_frequency) < 1e-14 * modes.natural_frequency[1:])
+    k = int(twins[0])
+    system = replace(system, selection=ModeSelection(keep=(k, k + 1)))
+    evaluation = Evaluation(system, design)
+    value, gradient = evaluation.metric("spectral_abscissa")
+    assert value == evaluation.poles.open_loop.uncoupled.real.max()
+    still = 1 + int(np.argmin(np.abs(evaluation.modes.at("tip"))))
+    frequency, by_frequency = evaluation.metric("structure_frequency", still)
+    assert value == pytest.approx(-0.002 * frequency, rel=1e-12, abs=0)
+    assert np.abs(gradient + 0.002 * by_frequency).max() <= 1e-12 * np.abs(gradient).max()
 
 
 def test_a_disturbance_that_cannot_reach_the_line_of_sight_has_no_jitter_and_no_gradient():

@@ -137,19 +137,19 @@ def test_a_hub_that_contradicts_the_supports_is_refused(frame3, fem2):
 def test_a_truss_with_a_loose_part_is_refused_as_a_mechanism_by_name():
     truss = barker_truss("pinned", 3)
     loose = replace(truss, bars=tuple(bar for bar in truss.bars if bar.name != "D3"))
-    with pytest.raises(ModelError, match=r"mechanism: 2 motions without stiffness, the loosest at 'B3"):
+    with pytest.raises(ModelError, match=r"mechanism: 2 motion\(s\) without stiffness, the loosest at 'B3"):
         reference.frame(assemble(loose, "tip"))
 
 
 def test_a_truss_that_floats_is_refused_as_a_mechanism():
     floating = replace(barker_truss("pinned", 3), supports={})
-    with pytest.raises(ModelError, match="3 motions without stiffness"):
+    with pytest.raises(ModelError, match=r"3 motion\(s\) without stiffness"):
         reference.frame(assemble(floating, "tip"))
 
 
 def test_a_single_free_motion_that_does_not_turn_the_hub_is_refused():
     sliding = replace(barker_truss("pinned", 3), supports={"B0": ("y", "rz")})
-    with pytest.raises(ModelError, match="1 motions without stiffness"):
+    with pytest.raises(ModelError, match=r"1 motion\(s\) without stiffness"):
         reference.frame(assemble(sliding, "tip"))
 
 

@@ -22,7 +22,7 @@ from fosopt.modes import ModalSet
 from fosopt.ops import Array, ComplexArray, Dual
 
 _MAX_ITERATIONS = 60
-_CONVERGED = 1e-9  # relative step of a shift; convergence is at least quadratic, so one more step is exact
+_CONVERGED = 1e-9  # relative step of a shift; convergence is at least quadratic, so it leaves nothing
 _TRACE = 1e-8
 _SAME = 1e-13
 
@@ -51,16 +51,20 @@ class OpenLoopPoles:
     uncoupled: ComplexArray
     drifting: bool
 
-    def receptances(self, base: ComplexArray, shift: ComplexArray) -> tuple[ComplexArray, ...]:
-        """g_hh, dg_hh/ds, g_h0, dg_h0/ds and Σ 1/(s − p) at s = base + shift, exact as the shift goes to zero."""
+    def factors(self, base: ComplexArray, shift: ComplexArray) -> tuple[ComplexArray, ComplexArray]:
+        """1/D_k and D_k′/D_k of each mode's D_k = (s − p_k)(s − p̄_k) at s = base + shift.
+
+        Exact as the shift goes to zero.
+
+        Returns
+        -------
+        (m, n), (m, n)
+            One row per point.
+        """
         to_first = (base[:, None] - self.first) + shift[:, None]
         to_second = (base[:, None] - self.second) + shift[:, None]
         inverse = 1.0 / (to_first * to_second)
-        slope = -(to_first + to_second) * inverse**2
-        direct, cross = self.mirror_shape**2, self.mirror_shape * self.hub_shape
-        drift = self.first != 0
-        reciprocal = ((to_first + to_second) * inverse)[:, drift].sum(axis=1)
-        return inverse @ direct, slope @ direct, inverse @ cross, slope @ cross, reciprocal
+        return inverse, (to_first + to_second) * inverse
 
 
 @dataclass(frozen=True)
@@ -104,8 +108,11 @@ class ClosedLoopPoles:
 
     def receptances(self) -> tuple[Receptances, Receptances]:
         """Receptances at the poles, and their derivatives in `s`."""
-        direct, slope, cross, cross_slope, _ = self.open_loop.receptances(self.base, self.shift)
-        return Receptances(direct, cross), Receptances(slope, cross_slope)
+        open_loop = self.open_loop
+        inverse, logarithmic = open_loop.factors(self.base, self.shift)
+        h, o = open_loop.mirror_shape, open_loop.hub_shape
+        slope = -inverse * logarithmic
+        return Receptances(inverse @ h**2, inverse @ (h * o)), Receptances(slope @ h**2, slope @ (h * o))
 
 
 def open_loop_poles(modes: ModalSet, mirror_port: str) -> OpenLoopPoles:
@@ -226,35 +233,36 @@ def _aberth(
     multiplicity: NDArray[np.intp],
 ) -> ClosedLoopPoles | None:
     pid = loop.controller
-    real, pair = multiplicity == 1, multiplicity == 2
-    to_base = base[:, None] - base[None, :]
-    to_mirrored = base[:, None] - base[None, pair].conj()
-    finishing = False
+    direct, moving = open_loop.mirror_shape**2, (open_loop.first != 0).astype(float)
+    pair = multiplicity == 2
+    mirrored, shift = base[pair].conj(), shift.copy()
+    rows = np.arange(base.size)  # poles that still move
     with np.errstate(all="ignore"):
         for _ in range(_MAX_ITERATIONS):
-            direct, slope, *_, reciprocal = open_loop.receptances(base, shift)
-            s = base + shift
-            delta = characteristic(loop, Dual(s, 1.0), Receptances(Dual(direct, slope), 0.0))
-            known = reciprocal
+            b, d = base[rows], shift[rows]
+            s = b + d
+            inverse, logarithmic = open_loop.factors(b, d)
+            g = Dual(inverse @ direct, -(inverse * logarithmic) @ direct)
+            delta = characteristic(loop, Dual(s, 1.0), Receptances(g, 0.0))
+            known = logarithmic @ moving
             if pid.ki:
                 known = known + 1 / s
             if pid.rolloff_time and pid.kd:
                 known = known + pid.rolloff_time / (1 + pid.rolloff_time * s)
-            apart = to_base + (shift[:, None] - shift[None, :])
-            np.fill_diagonal(apart, np.inf)
+            apart = (b[:, None] - base) + (d[:, None] - shift)
+            apart[np.arange(rows.size), rows] = np.inf
             repulsion = (1 / apart).sum(axis=1)
-            repulsion += (1 / (to_mirrored + (shift[:, None] - shift[None, pair].conj()))).sum(axis=1)
+            repulsion += (1 / ((b[:, None] - mirrored) + (d[:, None] - shift[pair].conj()))).sum(axis=1)
             # Multiplied through by Δ, so that a shift that is already exact gives a step of zero.
             step = delta.value / (delta.slope + delta.value * (known - repulsion))
-            step = np.where(real, step.real, step)
+            step = np.where(pair[rows], step, step.real)
             if not np.all(np.isfinite(step)):
                 return None
-            shift = shift - step
+            shift[rows] = d = d - step
             size = np.abs(step)
-            settled = bool(np.all((size <= _CONVERGED * np.abs(shift)) | (size <= 1e-15 * np.abs(s))))
-            if settled and finishing:
+            rows = rows[(size > _CONVERGED * np.abs(d)) & (size > 1e-15 * np.abs(s))]
+            if rows.size == 0:
                 return ClosedLoopPoles(base, shift, multiplicity, open_loop)
-            finishing = settled
     return None
 
 

@@ -11,7 +11,7 @@ filters with repeated poles use a quadrature that is refined at every resonance 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from math import inf, pi
 
@@ -20,7 +20,7 @@ import numpy as np
 from fosopt.control import NUMERATORS, ClosedLoopPoles, characteristic, closed_loop_response
 from fosopt.errors import UnstableError
 from fosopt.metrics.disturbances import Disturbance, refuse_infinite_variance
-from fosopt.metrics.functional import Functional, LoopModel, Points
+from fosopt.metrics.functional import Functional, LoopModel
 from fosopt.ops import Array, ComplexArray, Dual
 
 # Poles of filter and loop closer than this (relative) share a residue that loses as many digits.
@@ -58,13 +58,9 @@ def jitter_variances(
         )
     for disturbance in disturbances:
         refuse_infinite_variance(disturbance, model.loop, poles.open_loop.drifting)
-    mirrored = model.points(2 * shift - poles.value)
-    return [
-        _by_residues(model, poles, disturbance, mirrored, shift)
-        if disturbance.by_residues and _apart(poles, disturbance)
-        else _by_quadrature(model, poles, disturbance, shift)
-        for disturbance in disturbances
-    ]
+    rational = [d for d in disturbances if d.by_residues and _apart(poles, d)]
+    found = dict(zip((d.name for d in rational), _by_residues(model, poles, rational, shift), strict=True))
+    return [found.get(d.name) or _by_quadrature(model, poles, d, shift) for d in disturbances]
 
 
 def _apart(poles: ClosedLoopPoles, disturbance: Disturbance) -> bool:
@@ -79,32 +75,42 @@ def _apart(poles: ClosedLoopPoles, disturbance: Disturbance) -> bool:
 
 def pole_residues(model: LoopModel, poles: ClosedLoopPoles, response: str) -> ComplexArray:
     """(m,) Residues N(p)/Δ'(p) of a closed-loop transfer function at the poles the loop moves."""
+    return _residues(model, poles, [response])[response]
+
+
+def _residues(model: LoopModel, poles: ClosedLoopPoles, responses: Iterable[str]) -> dict[str, ComplexArray]:
     g, slope = poles.receptances()
     s = poles.value
     delta = characteristic(
         model.loop, Dual(s, 1.0), type(g)(Dual(g.direct, slope.direct), Dual(g.cross, slope.cross))
     )
-    return NUMERATORS[response](model.loop, s, g) / delta.slope
+    return {name: NUMERATORS[name](model.loop, s, g) / delta.slope for name in set(responses)}
 
 
 def _by_residues(
-    model: LoopModel, poles: ClosedLoopPoles, disturbance: Disturbance, mirrored: Points, shift: float
-) -> Variance:
-    shape = disturbance.filter
-    assert shape is not None
-    own = poles.multiplicity * pole_residues(model, poles, disturbance.at) * shape.response(poles.value)
-    groups = [(mirrored, own)]
-    if shape.poles.size:
-        at_filter = closed_loop_response(disturbance.at, model.loop, shape.poles, model.points(shape.poles).g)
-        groups.append((model.points(2 * shift - shape.poles), at_filter * shape.residues))
-    variance, functionals = 0.0, []
-    for points, residues in groups:
-        filtered = residues * shape.response(points.s)
-        variance += float(
-            np.sum(filtered * closed_loop_response(disturbance.at, model.loop, points.s, points.g)).real
-        )
-        functionals.append(Functional(disturbance.at, points, 2 * filtered))
-    return Variance(variance, tuple(functionals))
+    model: LoopModel, poles: ClosedLoopPoles, disturbances: Sequence[Disturbance], shift: float
+) -> Iterator[Variance]:
+    """Variances of rational spectra, all on the same points: mirrored poles of the loop and of the filters."""
+    residues = _residues(model, poles, (d.at for d in disturbances))
+    filters = [d.filter for d in disturbances if d.filter is not None]
+    none: ComplexArray = np.zeros(0, dtype=complex)
+    filter_poles = model.points(np.concatenate([none, *(f.poles for f in filters)]))
+    filter_residues = np.concatenate([none, *(f.residues for f in filters)])
+    owner = np.concatenate([none, *(np.full(f.poles.size, k) for k, f in enumerate(filters))])
+    every: ComplexArray = np.concatenate([poles.value, filter_poles.s])
+    mirrored = model.points(2 * shift - every)
+    loop = model.loop
+    at_filters = characteristic(loop, filter_poles.s, filter_poles.g)
+    at_mirrored = characteristic(loop, mirrored.s, mirrored.g)
+    for k, (disturbance, shape) in enumerate(zip(disturbances, filters, strict=True)):
+        at_loop = poles.multiplicity * residues[disturbance.at] * shape.response(poles.value)
+        numerator = NUMERATORS[disturbance.at]
+        through = numerator(loop, filter_poles.s, filter_poles.g) / at_filters
+        at_filter = np.where(owner == k, through * filter_residues, 0.0)
+        weight = np.concatenate([at_loop, at_filter]) * shape.response(mirrored.s)
+        response = numerator(loop, mirrored.s, mirrored.g) / at_mirrored
+        value = float(np.sum(weight * response).real)
+        yield Variance(value, (Functional(disturbance.at, mirrored, 2 * weight),))
 
 
 def _by_quadrature(

@@ -92,14 +92,23 @@ def _falls(values: Array) -> NDArray[np.intp]:
 
 
 def _stationary(slope: Callable[[Array], Array], low: Array, high: Array) -> Array:
-    """(m,) Frequencies at which `slope` falls through zero in each of (m,) brackets, by bisection."""
+    """(m,) Frequencies at which `slope` falls through zero in each of (m,) brackets, by the Illinois method."""
+    at_low, at_high = slope(low), slope(high)
+    before = np.zeros(low.size)
+    middle = low
     for _ in range(_BISECTIONS):
-        middle = 0.5 * (low + high)
-        up = slope(middle) > 0
-        low, high = np.where(up, middle, low), np.where(up, high, middle)
-        if np.all(high - low <= 1e-12 * high):
+        middle = (low * at_high - high * at_low) / (at_high - at_low)
+        value = slope(middle)
+        up, side = value > 0, np.sign(value)
+        moved = np.where(up, middle - low, high - middle)
+        # An end that stays twice in a row counts half, so that it moves next.
+        stays = np.where(side == before, 0.5, 1.0)
+        low, at_low = np.where(up, middle, low), np.where(up, value, stays * at_low)
+        high, at_high = np.where(up, high, middle), np.where(up, stays * at_high, value)
+        before = side
+        if np.all((moved <= 1e-12 * middle) | (value == 0)):
             break
-    return 0.5 * (low + high)
+    return middle
 
 
 def crossover(model: LoopModel, poles: ClosedLoopPoles) -> tuple[float, Functional]:
@@ -169,13 +178,27 @@ def spectral_abscissa(model: LoopModel, poles: ClosedLoopPoles) -> tuple[float, 
 
 
 def decay_functional(
-    eigenvalue: Array, modes: ModalSet, damping: Damping, mirror_port: str
+    eigenvalue: Array,
+    modes: ModalSet,
+    damping: Damping,
+    mirror_port: str,
+    kept: NDArray[np.intp],
+    decay: float,
 ) -> ModalFunctional:
-    """Differential of the largest real part among modes the loop does not see: dp = −(p dC + dK)/(2p + c)."""
+    """Differential of the real part `decay` of the pole of a mode the loop does not see, dp = −(p dC + dK)/(2p + c).
+
+    Parameters
+    ----------
+    eigenvalue, modes
+        Of the whole frame.
+    kept
+        Modes of the design model, one of which has the pole.
+    """
     root = np.sqrt((0.25 * modes.damping**2 - modes.stiffness).astype(complex))
     pole = -0.5 * modes.damping + root
-    hidden = np.flatnonzero((modes.at(mirror_port) == 0) & (modes.stiffness > 0))
-    k = int(hidden[np.argmax(pole[hidden].real)])
+    # Of modes that share the pole, the one that stands still at the mirror.
+    own = kept[np.abs(pole[kept].real - decay) <= 1e-12 * np.abs(pole[kept])]
+    k = int(own[np.argmin(np.abs(modes.at(mirror_port)[own]))])
     change = impedance_change(eigenvalue, modes, damping)
     factor, p = -1 / (2 * pole[k] + modes.damping[k]), pole[k]
     stiffness, mass = np.zeros_like(change.hub_by_mass), np.zeros_like(change.hub_by_mass)

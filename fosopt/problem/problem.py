@@ -131,14 +131,12 @@ class Problem:
     def _parameters(self) -> Differentiable:
         return Differentiable(
             lambda x: design_parameters(self.system, self.base, self.definitions, self.variables, x),
-            max(self.size, 1),
+            self.size,
         )
 
     def design(self, x: Array) -> Design:
         """The design at (n,) values of the variables."""
-        return self.base.with_parameters(
-            np.asarray(design_parameters(self.system, self.base, self.definitions, self.variables, x))
-        )
+        return self.base.with_parameters(self._parameters(x)[0])
 
     def evaluate(self, x: Array, shift: float = 0.0, truth: bool = False) -> Evaluation:
         """Evaluation of the design at `x`, on the truth model if asked for."""

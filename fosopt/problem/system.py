@@ -281,7 +281,9 @@ class Evaluation:
         if functional is not None:
             return abscissa, self._loop_gradient([functional])
         port = self.system.mirror_port
-        hidden = margins.decay_functional(self.frame.eigenvalue, self.all_modes, self.system.damping, port)
+        hidden = margins.decay_functional(
+            self.frame.eigenvalue, self.all_modes, self.system.damping, port, self.kept, abscissa
+        )
         return abscissa, self._modal_gradient(hidden)
 
     def _rigid(self, name: str) -> Valued:
@@ -410,14 +412,8 @@ class Evaluation:
 
     def _weights_gradient(self, stiffness: Array, mass: Array) -> Array:
         """From derivatives for the row weights of K and M to one over `Design.parameters`."""
-        structure = self.system.structure
-        return np.concatenate(
-            [
-                structure.stiffness_by_area.T @ stiffness + structure.mass_by_area.T @ mass,
-                structure.mass_by_batten.T @ mass,
-                np.zeros(len(LOOP_PARAMETERS)),
-            ]
-        )
+        by_members = self.system.structure.weight_gradients @ np.concatenate([stiffness, mass])
+        return np.concatenate([by_members, np.zeros(len(LOOP_PARAMETERS))])
 
     def _modal_gradient(self, functional: ModalFunctional) -> Array:
         gradient = self._weights_gradient(*self.frame.contract(functional.stiffness, functional.mass))

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -137,6 +138,24 @@ class Structure:
         """(r,) Start masses of the battens [kg]."""
         return np.array([batten.mass for batten in self.truss.battens])
 
+    @cached_property
+    def stiffness_entries(self) -> sparse.csc_array:
+        """(n², k) Entries of the stiffness matrix per weight."""
+        return ops.congruence_entries(self.stiffness_rows)
+
+    @cached_property
+    def mass_entries(self) -> sparse.csc_array:
+        """(n², m) Entries of the mass matrix per weight."""
+        return ops.congruence_entries(self.mass_rows)
+
+    @cached_property
+    def weight_gradients(self) -> sparse.csr_array:
+        """(b + r, k + m) Derivatives of stiffness and mass weights for areas and batten masses."""
+        n_batten = self.mass_by_batten.shape[1]
+        by_batten = sparse.csr_array((self.stiffness_by_area.shape[0], n_batten))
+        table = [[self.stiffness_by_area, by_batten], [self.mass_by_area, self.mass_by_batten]]
+        return sparse.csr_array(sparse.block_array(table).T)
+
     def port(self, name: str) -> Array:
         """(n,) Row that reads a port's motion.
 
@@ -160,7 +179,8 @@ def stiffness_matrix(structure: Structure, area: Any) -> Any:
     (n, n)
         Linear in the areas [N/m], [N m/rad].
     """
-    return ops.congruence(structure.stiffness_rows, stiffness_weights(structure, area))
+    weights = stiffness_weights(structure, area)
+    return ops.congruence(structure.stiffness_rows, weights, structure.stiffness_entries)
 
 
 def stiffness_weights(structure: Structure, area: Any) -> Any:
@@ -179,7 +199,8 @@ def mass_matrix(structure: Structure, area: Any, batten_mass: Any, mirror_mass: 
     (n, n)
         Linear in all parameters [kg], [kg m²].
     """
-    return ops.congruence(structure.mass_rows, mass_weights(structure, area, batten_mass, mirror_mass))
+    weights = mass_weights(structure, area, batten_mass, mirror_mass)
+    return ops.congruence(structure.mass_rows, weights, structure.mass_entries)
 
 
 def mass_weights(structure: Structure, area: Any, batten_mass: Any, mirror_mass: Any) -> Any:

@@ -1,0 +1,157 @@
+"""The eigenbasis of a built-in structure at one design."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+from scipy import linalg
+
+from fosopt.errors import ModelError
+from fosopt.modes.modal_set import Damping, Hub, ModalSet
+from fosopt.ops import Array
+from fosopt.structure import Structure, mass_matrix, stiffness_matrix
+
+# A mode is rigid when its eigenvalue is at rounding level of the stiffest one.
+_RIGID = 1e-12
+# Modes closer than this (relative) are one eigenspace; its basis is free to choose.
+_REPEATED = 1e-12
+# The eigenvalue solver errs by this much of the largest eigenvalue.
+_ROUNDING = 2e-15
+
+
+@dataclass(frozen=True)
+class ModalFrame:
+    """Eigenbasis of a structure at one design.
+
+    Attributes
+    ----------
+    structure
+        What was solved.
+    eigenvalue
+        (n,) elastic ω_k², zero for a rigid-body mode [rad²/s²].
+    shapes
+        (n_dof, n) mass-normalized mode shapes.
+    stiffness_shapes, mass_shapes
+        (k, n) and (m, n), the same seen by the rows of stiffness and mass.
+    """
+
+    structure: Structure
+    eigenvalue: Array
+    shapes: Array
+    stiffness_shapes: Array
+    mass_shapes: Array
+
+    @property
+    def n_rigid(self) -> int:
+        """Number of rigid-body modes, which come first."""
+        return int(np.count_nonzero(self.eigenvalue == 0.0))
+
+    def modal_set(self, hub: Hub, damping: Damping, ports: Sequence[str]) -> ModalSet:
+        """Modal set at the named ports under a damping model and a hub.
+
+        Raises
+        ------
+        ModelError
+            If the hub contradicts the supports.
+        """
+        rigid = self.eigenvalue == 0.0
+        if hub.type == "fixed" and self.n_rigid:
+            raise ModelError(
+                "hub: type 'fixed', but the supports let the structure rotate; use 'free' or 'held', or hold the hub"
+            )
+        if hub.type == "held" and self.n_rigid != 1:
+            raise ModelError(
+                f"hub: type 'held' needs one rigid-body mode, the supports leave {self.n_rigid}; use 'fixed'"
+            )
+        frequency = np.sqrt(self.eigenvalue)
+        ratio = np.zeros_like(frequency)
+        ratio[~rigid] = damping.of(frequency[~rigid])
+        if hub.type == "held":
+            frequency = np.where(rigid, hub.bandwidth, frequency)
+            ratio = np.where(rigid, hub.damping_ratio, ratio)
+        rows = np.array([self.structure.port(name) for name in ports])
+        return ModalSet(frequency, ratio, (rows @ self.shapes).T, tuple(ports), rigid)
+
+    def eigenvalue_gradient(self, mode: int) -> tuple[Array, Array]:
+        """Derivative of ω_k² for the stiffness (k,) and mass (m,) weights.    [Fox1968]
+
+        Assumes the eigenvalue is simple; at a crossing it is that of the mode the solver returned.
+        """
+        return self.stiffness_shapes[:, mode] ** 2, -self.eigenvalue[mode] * self.mass_shapes[:, mode] ** 2
+
+    def contract(self, stiffness: Array, mass: Array) -> tuple[Array, Array]:
+        """Gradient for the row weights of a functional d = ⟨stiffness, dK⟩ + ⟨mass, dM⟩ in the modal frame.
+
+        Parameters
+        ----------
+        stiffness, mass
+            (n, n) coefficients.
+
+        Returns
+        -------
+        (k,), (m,)
+            Derivatives for the stiffness and mass weights.
+        """
+        b, d = self.stiffness_shapes, self.mass_shapes
+        return np.einsum("ek,ek->e", b @ stiffness, b), np.einsum("ek,ek->e", d @ mass, d)
+
+
+def modal_frame(
+    structure: Structure, area: Array, batten_mass: Array, mirror_mass: float, rotation: str
+) -> ModalFrame:
+    """Solve K φ = ω² M φ for all modes at one design.    [Barker1991] Eq. (2.31)
+
+    Rigid-body eigenvalues are set to zero exactly. In a repeated eigenspace the basis is turned so that one
+    mode alone moves the port `rotation`: the others are exactly unobservable there.
+
+    Raises
+    ------
+    ModelError
+        If the structure is a mechanism: more than one motion without stiffness, or one that does not turn
+        the hub.
+    """
+    k_rows, m_rows = structure.stiffness_rows, structure.mass_rows
+    k = stiffness_matrix(structure, area)
+    m = mass_matrix(structure, area, batten_mass, mirror_mass)
+    try:
+        eigenvalue, shapes = linalg.eigh(k, m, driver="gvd")
+    except (linalg.LinAlgError, ValueError) as error:
+        raise ModelError(
+            f"modes cannot be computed: {error}; every degree of freedom needs mass above zero"
+        ) from error
+    rigid = eigenvalue <= _RIGID * eigenvalue[-1]
+    if rigid.any():
+        _refuse_mechanism(structure, shapes[:, rigid])
+        eigenvalue = np.where(rigid, 0.0, eigenvalue)
+    shapes = _turn_repeated(eigenvalue, shapes, structure.port(rotation))
+    return ModalFrame(structure, eigenvalue, shapes, k_rows @ shapes, m_rows @ shapes)
+
+
+def _refuse_mechanism(structure: Structure, shapes: Array) -> None:
+    hub = structure.port("hub") @ shapes
+    if shapes.shape[1] == 1 and np.abs(hub[0]) > 1e-6 * np.abs(shapes[:, 0]).max():
+        return
+    loosest = shapes[:, int(np.argmin(np.abs(hub)))]
+    worst = structure.dofs[int(np.argmax(np.abs(loosest)))]
+    raise ModelError(
+        f"structure is a mechanism: {shapes.shape[1]} motion(s) without stiffness, the loosest at '{worst}'; "
+        "only one rotation about the hub may be free: add bars or supports"
+    )
+
+
+def _turn_repeated(eigenvalue: Array, shapes: Array, row: Array) -> Array:
+    gaps = np.diff(eigenvalue) > np.maximum(_REPEATED * eigenvalue[1:], _ROUNDING * eigenvalue[-1])
+    edges = np.concatenate([[0], np.flatnonzero(gaps) + 1, [eigenvalue.size]])
+    if edges.size == eigenvalue.size + 1:
+        return shapes
+    turned = shapes.copy()
+    for first, last in pairwise(edges):
+        size = last - first
+        motion = row @ shapes[:, first:last]
+        if size > 1 and np.any(motion):
+            basis, _ = np.linalg.qr(np.column_stack([motion, np.eye(size)]))
+            turned[:, first:last] = shapes[:, first:last] @ basis
+    return turned
