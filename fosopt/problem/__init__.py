@@ -1,7 +1,8 @@
 """Co-design problems as data: the system, one design of it, variables, objectives and constraints."""
 
+from fosopt.problem.evaluation import Evaluation
 from fosopt.problem.problem import Constraint, Problem, Rows, branched
-from fosopt.problem.system import INDEXED, Design, Evaluation, ModeSelection, System
+from fosopt.problem.system import INDEXED, Design, ModeSelection, System
 from fosopt.problem.variables import Definitions, Variable, design_parameters
 
 __all__ = [

@@ -14,7 +14,8 @@ from fosopt import ops
 from fosopt.errors import ModelError, did_you_mean
 from fosopt.expressions import Expression, Reference, parse_expression
 from fosopt.ops import Array
-from fosopt.problem.system import BRANCHES, INDEXED, Design, Evaluation, System
+from fosopt.problem.evaluation import BRANCHES, Evaluation
+from fosopt.problem.system import INDEXED, Design, System
 from fosopt.problem.variables import Definitions, Variable, design_parameters
 from fosopt.symbolic import Differentiable, OracleFunction
 

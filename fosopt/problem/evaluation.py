@@ -1,0 +1,331 @@
+"""A system at one design, evaluated once with all metrics and derivatives."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fosopt.control import ClosedLoopPoles, closed_loop_poles
+from fosopt.errors import ModelError, SolverError, did_you_mean
+from fosopt.metrics import inertias, margins
+from fosopt.metrics.functional import Functional, LoopModel, Points
+from fosopt.metrics.inertias import ModalFunctional
+from fosopt.metrics.jitter import Variance, jitter_variances
+from fosopt.metrics.step import step_metrics
+from fosopt.modes import ModalFrame, ModalSet, modal_frame, receptance_functional
+from fosopt.ops import Array, ComplexArray
+from fosopt.plant import CoupledModes, coupled_modes
+from fosopt.problem.system import INDEXED, Design, System
+from fosopt.structure import structural_mass, structure_inertia
+from fosopt.symbolic import LOOP_PARAMETERS, response_partials
+
+# How many branches of a metric that is a minimum over modes or frequencies enter a constraint one by one.
+BRANCHES = {"first_elastic_frequency": 4, "modulus_margin": 6}
+
+Valued = tuple[float, Array]
+
+
+class Evaluation:
+    """A system at one design: modes, poles, metrics and gradients, each computed once when first asked for.
+
+    A metric comes as (value, gradient) with the gradient over `Design.parameters`. Loop metrics of an unstable
+    loop raise `UnstableError`.
+
+    Parameters
+    ----------
+    shift
+        Jitter is that of H(s + shift), see `metrics.jitter.jitter_variance` [rad/s].
+    """
+
+    def __init__(self, system: System, design: Design, shift: float = 0.0) -> None:
+        self.system, self.design, self.shift = system, design, shift
+        self._known: dict[tuple[str, int | None], Valued] = {}
+
+    @cached_property
+    def frame(self) -> ModalFrame:
+        """Eigenbasis of the structure."""
+        d = self.design
+        return modal_frame(
+            self.system.structure, d.area, d.batten_mass, d.mirror_mass, self.system.mirror_port
+        )
+
+    @cached_property
+    def all_modes(self) -> ModalSet:
+        """Modal set with every mode."""
+        return self.frame.modal_set(self.system.hub, self.system.damping, ("hub", self.system.mirror_port))
+
+    @cached_property
+    def kept(self) -> NDArray[np.intp]:
+        """Indices of the modes the design model keeps."""
+        return self.system.selection.of(self.all_modes.natural_frequency)
+
+    @cached_property
+    def modes(self) -> ModalSet:
+        """Modal set of the design model."""
+        return (
+            self.all_modes if self.kept.size == self.frame.eigenvalue.size else self.all_modes.keep(self.kept)
+        )
+
+    @cached_property
+    def model(self) -> LoopModel:
+        """The loop on the design model."""
+        return LoopModel(self.design.loop, self.modes, self.system.mirror_port)
+
+    @cached_property
+    def coupled(self) -> CoupledModes:
+        """Undamped modes of structure and mirror together."""
+        return coupled_modes(self.modes, self.design.loop.mirror, self.system.mirror_port)
+
+    @cached_property
+    def poles(self) -> ClosedLoopPoles:
+        """Closed-loop poles."""
+        return closed_loop_poles(self.design.loop, self.modes, self.system.mirror_port)
+
+    @property
+    def stable(self) -> bool:
+        """Whether all closed-loop poles decay."""
+        return self.poles.spectral_abscissa < 0
+
+    def value(self, name: str, index: int | None = None) -> float:
+        """Value of a metric, SI units."""
+        return self.metric(name, index)[0]
+
+    def metric(self, name: str, index: int | None = None) -> Valued:
+        """Value of a metric and its gradient over `Design.parameters`.
+
+        Parameters
+        ----------
+        index
+            Which mode, from one, for the metrics in `INDEXED`.
+
+        Raises
+        ------
+        ModelError
+            For an unknown name, or an index out of range.
+        UnstableError
+            For jitter and step metrics of an unstable loop.
+        """
+        key = (name, index)
+        if key not in self._known:
+            self._known[key] = self._compute(name, index)
+        return self._known[key]
+
+    def branches(self, name: str) -> list[Valued]:
+        """The lowest branches of a metric that is a minimum, for constraints; else the metric alone."""
+        if name == "first_elastic_frequency":
+            elastic = np.flatnonzero(self.frame.eigenvalue > 0)[: BRANCHES[name]]
+            return [self._frequency(int(k)) for k in elastic]
+        if name == "modulus_margin":
+            return self._margins
+        return [self.metric(name)]
+
+    def _compute(self, name: str, index: int | None) -> Valued:
+        if name in INDEXED:
+            if index is None:
+                raise ModelError(f"metric '{name}' needs the number of a mode, such as {name}[1]")
+            return self._modal(name, index)
+        if index is not None:
+            raise ModelError(f"metric '{name}' takes no mode number")
+        if name not in self.system.metric_names:
+            raise ModelError(
+                f"metric '{name}' does not exist; {did_you_mean(name, (*self.system.metric_names, *INDEXED))}"
+            )
+        if name == "jitter_total":
+            return self._jitter([f"jitter_{d.name}" for d in self.system.disturbances])
+        if name.startswith("jitter_"):
+            return self._jitter([name])
+        if name.startswith("step_"):
+            return self._step[name]
+        if name == "modulus_margin":
+            return self._margins[0]
+        if name == "first_elastic_frequency":
+            return self._frequency(self.frame.n_rigid)
+        if name == "reference_inertia":
+            value = inertias.reference_inertia(self.modes, self.system.mirror_port)
+            change = inertias.reference_inertia_functional(
+                self.frame, self.all_modes, self.kept, self.system.mirror_port
+            )
+            return value, self._modal_gradient(change)
+        if name == "loop_crossover":
+            frequency, functional = margins.crossover(self.model, self.poles)
+            return frequency, self._loop_gradient([functional])
+        if name == "spectral_abscissa":
+            return self._abscissa()
+        return self._rigid(name)
+
+    def _abscissa(self) -> Valued:
+        abscissa, functional = margins.spectral_abscissa(self.model, self.poles)
+        if functional is not None:
+            return abscissa, self._loop_gradient([functional])
+        port = self.system.mirror_port
+        hidden = margins.decay_functional(
+            self.frame.eigenvalue, self.all_modes, self.system.damping, port, self.kept, abscissa
+        )
+        return abscissa, self._modal_gradient(hidden)
+
+    def _rigid(self, name: str) -> Valued:
+        """Masses and inertias, which need no modes: linear in the structure's parameters."""
+        structure, d = self.system.structure, self.design
+        b, r = d.area.size, d.batten_mass.size
+        gradient = np.zeros(b + r + len(LOOP_PARAMETERS))
+        if name in ("structural_mass", "total_mass"):
+            gradient[:b] = structure.bar_mass_per_area
+            gradient[b : b + r] = 1.0
+            mass = float(structural_mass(structure, d.area, d.batten_mass))
+            return (mass + d.mirror_mass if name == "total_mass" else mass), gradient
+        inertia = float(structure_inertia(structure, d.area, d.batten_mass))
+        arm2 = structure.hub_arm**2
+        gradient[:b] = structure.mass_by_area.T @ arm2
+        gradient[b : b + r] = structure.mass_by_batten.T @ arm2
+        if name == "structure_inertia":
+            return inertia, gradient
+        own = np.zeros_like(gradient)
+        own[b + r] = 1.0
+        mirror = float(d.loop.mirror.inertia)
+        if name == "mirror_inertia":
+            return mirror, own
+        return mirror / inertia, own / inertia - mirror / inertia**2 * gradient
+
+    def _frequency(self, mode: int) -> Valued:
+        value = float(np.sqrt(self.frame.eigenvalue[mode]))
+        stiffness, mass = self.frame.eigenvalue_gradient(mode)
+        return value, self._weights_gradient(stiffness, mass) / (2 * value)
+
+    def _modal(self, name: str, index: int) -> Valued:
+        own = name in ("structure_frequency", "modal_inertia")
+        count = self.modes.natural_frequency.size + (0 if own else 1)
+        if not 1 <= index <= count:
+            raise ModelError(f"{name}[{index}]: the model has modes 1 to {count}")
+        k = index - 1
+        port, mirror = self.system.mirror_port, self.design.loop.mirror
+        if own:
+            mode = int(self.kept[k])
+            if name == "structure_frequency":
+                if self.frame.eigenvalue[mode] == 0:
+                    return float(self.modes.natural_frequency[k]), np.zeros(self.design.parameters.size)
+                return self._frequency(mode)
+            value = float(inertias.modal_inertia(self.modes, port)[k])
+            functional = inertias.modal_inertia_functional(self.frame, self.all_modes, port, mode)
+            return value, self._modal_gradient(functional)
+        coupled = self.coupled
+        frequency = float(coupled.natural_frequency[k])
+        reaction = float(coupled.effective_modal_reaction_inertia[k])
+        if reaction == 0.0:
+            return self._unmoved(name, index, k)
+        if self.kept.size < self.frame.eigenvalue.size:
+            raise SolverError(
+                f"{name}[{index}]: coupled modes of a truncated model have no gradient; keep all modes"
+            )
+        parts = inertias.coupled_functionals(self.frame, self.all_modes, coupled, mirror, port, k)
+        by_eigenvalue = self._modal_gradient(parts["eigenvalue"])
+        if name == "natural_frequency":
+            return frequency, by_eigenvalue / (2 * frequency)
+        by_reaction = self._modal_gradient(parts["effective_modal_reaction_inertia"])
+        if name == "effective_modal_reaction_inertia":
+            return reaction, by_reaction
+        if name == "modal_reaction_inertia":
+            value = float(mirror.inertia) / reaction
+            gradient = -value / reaction * by_reaction
+            gradient[-len(LOOP_PARAMETERS)] += 1 / reaction
+            return value, gradient
+        if np.isnan(coupled.zero[k]):
+            raise ModelError(
+                f"{name}[{index}]: this is the mirror mode, which has no zero; choose another mode"
+            )
+        zero = float(coupled.zero[k])
+        paired = int(self.kept[np.argmin(np.abs(self.modes.stiffness - zero))])
+        if self.frame.eigenvalue[paired] > 0:
+            by_zero = self._weights_gradient(*self.frame.eigenvalue_gradient(paired))
+        else:
+            by_zero = np.zeros_like(by_eigenvalue)
+        participation = float(coupled.participation[k])
+        gradient = (by_eigenvalue - participation * by_zero) / zero
+        if name == "participation":
+            return participation, gradient
+        separation = float(coupled.pole_zero_separation[k])
+        return separation, gradient / (2 * separation)
+
+    def _unmoved(self, name: str, index: int, k: int) -> Valued:
+        """A mode the mirror cannot move: a free rigid body, or a node at the port."""
+        none = np.zeros(self.design.parameters.size)
+        if name == "modal_reaction_inertia":
+            raise ModelError(
+                f"{name}[{index}] is infinite: the mirror cannot move this mode; use effective_{name}"
+            )
+        if name == "effective_modal_reaction_inertia":
+            return 0.0, none
+        if name in ("pole_zero_separation", "participation"):
+            return 1.0, none
+        eigenvalue = self.coupled.eigenvalue[k]
+        if eigenvalue == 0:
+            return 0.0, none
+        return self._frequency(int(np.argmin(np.abs(self.frame.eigenvalue - eigenvalue))))
+
+    @cached_property
+    def variances(self) -> dict[str, Variance]:
+        """Mean square jitter of each disturbance with its differential, by metric name [rad²]."""
+        disturbances = self.system.disturbances
+        found = jitter_variances(self.model, self.poles, disturbances, self.shift)
+        return {f"jitter_{d.name}": variance for d, variance in zip(disturbances, found, strict=True)}
+
+    def _jitter(self, names: Sequence[str]) -> Valued:
+        variance = sum(self.variances[name].value for name in names)
+        gradient = self._loop_gradient([f for name in names for f in self.variances[name].functionals])
+        rms = float(np.sqrt(variance))
+        # A disturbance that cannot reach the line of sight has no jitter, and no slope of its own.
+        return rms, gradient / (2 * rms) if rms > 0 else np.zeros_like(gradient)
+
+    @cached_property
+    def _margins(self) -> list[Valued]:
+        values, functionals = margins.modulus_margins(self.model, self.poles, BRANCHES["modulus_margin"])
+        return [(float(v), self._loop_gradient([f])) for v, f in zip(values, functionals, strict=True)]
+
+    @cached_property
+    def _step(self) -> dict[str, Valued]:
+        if self.system.step is None:
+            raise ModelError("step metrics need a step command; add one to the system")
+        found = step_metrics(self.model, self.poles, self.system.step)
+        return {name: (value, self._loop_gradient([f])) for name, (value, f) in found.items()}
+
+    def _weights_gradient(self, stiffness: Array, mass: Array) -> Array:
+        """From derivatives for the row weights of K and M to one over `Design.parameters`."""
+        by_members = self.system.structure.weight_gradients @ np.concatenate([stiffness, mass])
+        return np.concatenate([by_members, np.zeros(len(LOOP_PARAMETERS))])
+
+    def _modal_gradient(self, functional: ModalFunctional) -> Array:
+        gradient = self._weights_gradient(*self.frame.contract(functional.stiffness, functional.mass))
+        first = gradient.size - len(LOOP_PARAMETERS)
+        gradient[first] = functional.mirror_inertia
+        gradient[first + 1] = functional.mirror_frequency
+        return gradient
+
+    def _loop_gradient(self, functionals: Sequence[Functional]) -> Array:
+        """Gradient of Σ Re Σ w dR(s): through the receptances to the structure, and directly to the loop."""
+        by_loop = np.zeros(len(LOOP_PARAMETERS))
+        # Functionals on the same points share the costly part, their way through the receptances.
+        shared: dict[int, tuple[Points, ComplexArray, ComplexArray]] = {}
+        for f in functionals:
+            partials = response_partials(f.response, self.design.loop, f.points.s, f.points.g)
+            direct, cross = f.weight * partials.direct, f.weight * partials.cross
+            if id(f.points) in shared:
+                direct, cross = shared[id(f.points)][1] + direct, shared[id(f.points)][2] + cross
+            shared[id(f.points)] = (f.points, direct, cross)
+            by_loop += np.real(partials.parameters @ f.weight)
+        points, by_direct, by_cross = zip(*shared.values(), strict=True)
+        stiffness, mass = receptance_functional(
+            self.frame,
+            self.all_modes,
+            self.system.damping,
+            self.kept,
+            np.concatenate([p.s for p in points]),
+            np.concatenate([p.modal for p in points]),
+            np.concatenate(by_direct),
+            np.concatenate(by_cross),
+            self.system.mirror_port,
+        )
+        gradient = self._weights_gradient(stiffness, mass)
+        gradient[-len(LOOP_PARAMETERS) :] = by_loop
+        return gradient
