@@ -83,6 +83,8 @@ def run_header(study: Study, problem: Problem) -> dict[str, Any]:
         name: _quantity(known[name].dimension, known[name].label, name)
         for name in problem.system.metric_names
     }
+    for disturbance in study.disturbances:
+        quantities[f"jitter_{disturbance.name}"]["label"] = f"jitter from {disturbance.name.replace('_', ' ')}"
     for variable in study.variables:
         label = variable.name.replace("_", " ")
         quantities.setdefault(variable.name, _quantity(QUANTITIES[variable.quantity], label, variable.name))
