@@ -152,29 +152,37 @@ def crossover(model: LoopModel, poles: ClosedLoopPoles) -> tuple[float, Function
     return float(frequency), Functional("loop_transfer", model.points(np.array([1j * frequency])), weight)
 
 
-def spectral_abscissa(model: LoopModel, poles: ClosedLoopPoles) -> tuple[float, Functional | None]:
-    """Largest real part of the closed-loop poles, and its differential dp = −dΔ/Δ′ at the rightmost one.
+def rightmost_poles(
+    model: LoopModel, poles: ClosedLoopPoles, count: int
+) -> list[tuple[float, Functional | None]]:
+    """The `count` largest real parts of the closed-loop poles, descending, with dp = −dΔ/Δ′ of each.
 
-    Assumes the rightmost pole is simple; elsewhere it has no differential.
+    The first is the spectral abscissa, negative for a stable loop; the drift of a free rigid body is not counted.
+    Assumes each pole is simple; elsewhere it has no differential.
 
     Returns
     -------
-    float
-        [rad/s]; negative for a stable loop. The drift of a free rigid body is not counted.
-    Functional or None
-        None where the rightmost pole is that of a mode with a node at the mirror port, see `decay_functional`.
+    list
+        Real part [rad/s] and its differential, None for a mode with a node at the mirror port, see
+        `decay_functional`. At most as many as there are poles, conjugate pairs counted once.
     """
-    abscissa = poles.spectral_abscissa
-    rightmost = int(np.argmax(poles.value.real))
-    if poles.value[rightmost].real < abscissa:
-        return abscissa, None
-    base, shift = poles.base[rightmost], poles.shift[rightmost]
-    points = model.points_near_pole(base, shift or _LEAST_SHIFT * abs(base))
-    g, slope = points.g, model.slopes(points)
-    delta = characteristic(
-        model.loop, Dual(points.s, 1.0), Receptances(Dual(g.direct, slope.direct), Dual(g.cross, slope.cross))
-    )
-    return abscissa, Functional("characteristic", points, -1 / delta.slope)
+    hidden = np.unique(poles.open_loop.uncoupled.real)
+    real = np.concatenate([poles.value.real, hidden])
+    found: list[tuple[float, Functional | None]] = []
+    for k in np.argsort(-real, kind="stable")[:count]:
+        if k >= poles.value.size:
+            found.append((float(real[k]), None))
+            continue
+        base, shift = poles.base[k], poles.shift[k]
+        points = model.points_near_pole(base, shift or _LEAST_SHIFT * abs(base))
+        g, slope = points.g, model.slopes(points)
+        delta = characteristic(
+            model.loop,
+            Dual(points.s, 1.0),
+            Receptances(Dual(g.direct, slope.direct), Dual(g.cross, slope.cross)),
+        )
+        found.append((float(real[k]), Functional("characteristic", points, -1 / delta.slope)))
+    return found
 
 
 def decay_functional(

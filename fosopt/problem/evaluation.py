@@ -22,8 +22,8 @@ from fosopt.problem.system import INDEXED, Design, System
 from fosopt.structure import structural_mass, structure_inertia
 from fosopt.symbolic import LOOP_PARAMETERS, response_partials
 
-# How many branches of a metric that is a minimum over modes or frequencies enter a constraint one by one.
-BRANCHES = {"first_elastic_frequency": 4, "modulus_margin": 6}
+# Metrics that are the least or the largest of several branches, and how many of these enter a constraint one by one.
+BRANCHES = {"first_elastic_frequency": 4, "modulus_margin": 6, "spectral_abscissa": 6}
 
 Valued = tuple[float, Array]
 
@@ -114,13 +114,11 @@ class Evaluation:
         return self._known[key]
 
     def branches(self, name: str) -> list[Valued]:
-        """The lowest branches of a metric that is a minimum, for constraints; else the metric alone."""
+        """The outermost branches of a metric that is a least or a largest one, for constraints."""
         if name == "first_elastic_frequency":
             elastic = np.flatnonzero(self.frame.eigenvalue > 0)[: BRANCHES[name]]
             return [self._frequency(int(k)) for k in elastic]
-        if name == "modulus_margin":
-            return self._margins
-        return [self.metric(name)]
+        return self._margins if name == "modulus_margin" else self._decays
 
     def _compute(self, name: str, index: int | None) -> Valued:
         if name in INDEXED:
@@ -153,18 +151,24 @@ class Evaluation:
             frequency, functional = margins.crossover(self.model, self.poles)
             return frequency, self._loop_gradient([functional])
         if name == "spectral_abscissa":
-            return self._abscissa()
+            return self._decays[0]
         return self._rigid(name)
 
-    def _abscissa(self) -> Valued:
-        abscissa, functional = margins.spectral_abscissa(self.model, self.poles)
-        if functional is not None:
-            return abscissa, self._loop_gradient([functional])
-        port = self.system.mirror_port
-        hidden = margins.decay_functional(
-            self.frame.eigenvalue, self.all_modes, self.system.damping, port, self.kept, abscissa
-        )
-        return abscissa, self._modal_gradient(hidden)
+    @cached_property
+    def _decays(self) -> list[Valued]:
+        port, damping = self.system.mirror_port, self.system.damping
+        decays = []
+        for real, functional in margins.rightmost_poles(
+            self.model, self.poles, BRANCHES["spectral_abscissa"]
+        ):
+            if functional is not None:
+                decays.append((real, self._loop_gradient([functional])))
+                continue
+            hidden = margins.decay_functional(
+                self.frame.eigenvalue, self.all_modes, damping, port, self.kept, real
+            )
+            decays.append((real, self._modal_gradient(hidden)))
+        return decays
 
     def _rigid(self, name: str) -> Valued:
         """Masses and inertias, which need no modes: linear in the structure's parameters."""

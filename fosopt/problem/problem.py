@@ -228,13 +228,13 @@ class Rows:
 
 
 def branched(constraint: Constraint) -> str | None:
-    """The metric of a constraint that is a minimum over modes or frequencies bounded below, else None."""
+    """The metric of a constraint that holds for every branch if it holds for the metric, else None.
+
+    A least frequency or margin bounded below alone, a largest real part bounded above alone.
+    """
     reference = constraint.expression.reference
-    if (
-        reference is not None
-        and reference[0] in BRANCHES
-        and reference[1] is None
-        and constraint.lower > -inf
-    ):
-        return reference[0]
-    return None
+    if reference is None or reference[0] not in BRANCHES or reference[1] is not None:
+        return None
+    least = reference[0] != "spectral_abscissa"
+    one_sided = constraint.upper == inf if least else constraint.lower == -inf
+    return reference[0] if one_sided else None

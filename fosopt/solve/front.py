@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,7 +17,7 @@ from fosopt.solve.strategies import Goal, Strategy, reach
 # The light end of a front allows this share of the front's range above the least first objective: at the very
 # least one the other objective has nothing left to choose from.
 _LIGHT_END = 1e-3
-# The heavy end gives away this share of the least second objective to save on the first.
+# The heavy end is the least first objective whose second one is this close to the least (relative).
 _HEAVY_END = 1e-4
 # Objectives closer than this (relative) are the same local optimum.
 _SAME = 1e-4
@@ -128,29 +128,31 @@ def trace_front(
     def goal(minimized: int, *limits: Constraint) -> Goal:
         return Goal(problem, problem.objectives[minimized], (*problem.constraints, *limits), free)
 
-    light, *tally = search(goal(0), start, how, 0, stop)
+    # The ends are found with everything free at once: a strategy shows at the points between them.
+    at_once = replace(how, strategy="simultaneous")
+    light, *tally = search(goal(0), start, at_once, 0, stop)
     if light.status != "optimal":
-        yield Outcome(f"least {first.text}", how.strategy, goal(0), light, None, *tally)
+        yield Outcome(f"least {first.text}", "simultaneous", goal(0), light, None, *tally)
         return
     least = light.objective
-    heavy, *tally = search(goal(1), light.x, how, 1, stop)
+    heavy, *tally = search(goal(1), light.x, at_once, 1, stop)
     if heavy.status != "optimal":
-        yield Outcome(f"least {first.text}", how.strategy, goal(0), light, None)
-        yield Outcome(f"least {second.text}", how.strategy, goal(1), heavy, None, *tally)
+        yield Outcome(f"least {first.text}", "simultaneous", goal(0), light, None)
+        yield Outcome(f"least {second.text}", "simultaneous", goal(1), heavy, None, *tally)
         return
-    size = abs(heavy.objective)
-    last = goal(0, Constraint(second, upper=heavy.objective + _HEAVY_END * size))
-    end, *end_tally = search(last, heavy.x, how, 2, stop)
+    saving = Constraint(second, upper=heavy.objective + _HEAVY_END * abs(heavy.objective))
+    end, *_ = search(goal(0, saving), heavy.x, at_once, 2, stop)
     most = end.objective if end.status == "optimal" else objective_value(problem, heavy.x, first)
     x, parent, position = light.x, None, 0
-    for k in range(count - 1):
+    for k in range(count):
         if stop():
             return
+        last = k == count - 1
         share = max((k / (count - 1)) ** 2, _LIGHT_END)
         limited = goal(1, Constraint(first, upper=least + share * (most - least)))
-        found, *tally = search(limited, x, how, 3 + k, stop)
-        label = f"least {first.text}" if k == 0 else f"{first.text} limited"
-        yield Outcome(label, how.strategy, limited, found, parent, *tally)
+        found, *tally = search(limited, end.x if last and end.status == "optimal" else x, how, 3 + k, stop)
+        label = f"least {second.text}" if last else f"{first.text} limited" if k else f"least {first.text}"
+        yield Outcome(label, how.strategy, limited, found, None if last else parent, *tally)
         here, position = position, position + 1
         for other in how.compare:
             if stop():
@@ -160,7 +162,6 @@ def trace_front(
             position += 1
         if found.status == "optimal":
             x, parent = found.x, here
-    yield Outcome(f"least {second.text}", how.strategy, last, end, None, *end_tally)
 
 
 def objective_value(problem: Problem, x: Array, objective: Expression) -> float:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from math import inf
 from typing import Protocol
 
 import numpy as np
@@ -113,7 +112,8 @@ class NonlinearProgram:
             names.append(constraint.name)
         for constraint, metric in self._branched:
             for _ in self._known_evaluation(start).branches(metric):
-                bounds.append((constraint.lower, inf, abs(constraint.lower) or 1.0))
+                limit = constraint.lower if np.isfinite(constraint.lower) else constraint.upper
+                bounds.append((constraint.lower, constraint.upper, abs(limit) or 1.0))
                 names.append(constraint.name)
         # The branches of a minimum share the name of their constraint.
         self.row_names = tuple(names)

@@ -34,7 +34,9 @@ _STRUCTURAL = frozenset(
     }
 )
 _STABILIZING_ROUNDS = 12
-_INNER_TOLERANCE = 0.01  # of the outer tolerance, so that the inner optimum looks smooth from outside
+# Of the tolerance asked for: an inner optimum that looks smooth from outside, and an outer one above what is left
+# of its noise.
+_INNER_TOLERANCE, _OUTER_TOLERANCE = 0.01, 10.0
 
 
 @dataclass(frozen=True)
@@ -89,11 +91,13 @@ def reach(
     stable = stabilize(goal, start, options, stop)
     if isinstance(stable, Solution):
         return stable
-    if strategy == "simultaneous" or not goal.discipline("structure").any():
-        return persist(goal.task(), stable, options, stop)
-    if strategy == "sequential":
+    both = goal.discipline("structure").any() and goal.discipline("control").any()
+    if strategy == "sequential" and both:
         return _sequential(goal, stable, options, stop)
-    return _nested(goal, stable, options, stop)
+    # Where the loop has nothing to choose for the objective, there is no inner optimum to nest.
+    if strategy == "nested" and both and not goal.structural(goal.objective):
+        return _nested(goal, stable, options, stop)
+    return persist(goal.task(), stable, options, stop)
 
 
 def persist(task: Task, start: Array, options: Options, stop: Callable[[], bool] = never) -> Solution:
@@ -160,11 +164,15 @@ def stabilize(
 
 
 def _sequential(goal: Goal, start: Array, options: Options, stop: Callable[[], bool]) -> Solution:
-    """The habit of separate teams: the stiffest structure the limits allow, then the best loop on it."""
+    """The habit of separate teams: the structure first, then the best loop on it.
+
+    The structural team minimizes the objective if it can compute it, else it makes the stiffest structure that its
+    constraints allow.
+    """
     structural = tuple(c for c in goal.constraints if goal.structural(c.expression))
-    first = Task(
-        goal.problem, parse_expression("-first_elastic_frequency"), structural, goal.discipline("structure")
-    )
+    own = goal.structural(goal.objective)
+    aim = goal.objective if own else parse_expression("-first_elastic_frequency")
+    first = Task(goal.problem, aim, structural, goal.discipline("structure"))
     stiff = persist(first, start, options, stop)
     if stiff.status != "optimal":
         return replace(stiff, reason=f"structure first: {stiff.reason}", objective=float("nan"))
@@ -179,7 +187,8 @@ def _sequential(goal: Goal, start: Array, options: Options, stop: Callable[[], b
 
 
 def _nested(goal: Goal, start: Array, options: Options, stop: Callable[[], bool]) -> Solution:
-    return solve(_NestedProgram(goal, start, options, stop), options, stop)
+    program = _NestedProgram(goal, start, options, stop)
+    return solve(program, replace(options, tolerance=_OUTER_TOLERANCE * options.tolerance), stop)
 
 
 class _NestedProgram(NonlinearProgram):

@@ -84,7 +84,9 @@ def run_header(study: Study, problem: Problem) -> dict[str, Any]:
         for name in problem.system.metric_names
     }
     for disturbance in study.disturbances:
-        quantities[f"jitter_{disturbance.name}"]["label"] = f"jitter from {disturbance.name.replace('_', ' ')}"
+        quantities[f"jitter_{disturbance.name}"]["label"] = (
+            f"jitter from {disturbance.name.replace('_', ' ')}"
+        )
     for variable in study.variables:
         label = variable.name.replace("_", " ")
         quantities.setdefault(variable.name, _quantity(QUANTITIES[variable.quantity], label, variable.name))

@@ -111,7 +111,7 @@ def _count(study: Study) -> int:
     if study.kind == "analysis":
         return 1
     if study.front is not None:
-        return 2 + (study.front.points - 1) * each
+        return 1 + study.front.points * each
     return 1 + max(len(study.cases), 1) * each
 
 
