@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from math import inf, pi, sqrt
+from math import inf, sqrt
 from typing import Any
 
 import numpy as np
@@ -156,5 +156,3 @@ def least_jitter() -> tuple[float, float, float]:
     c = sqrt(2 * MIRROR_INERTIA * (k - spring))
     return c, (k - spring) / c, sqrt(NOISE_INTENSITY * c / MIRROR_INERTIA)
 
-
-HERTZ = 2 * pi
