@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import linalg, optimize, signal
 
-from fosopt.control import StateSpace, closed_loop_state_space
+from fosopt.control import StateSpace, closed_loop_state_space, pid_response
 from fosopt.errors import FosoptError
 from fosopt.expressions import Expression
 from fosopt.metrics.disturbances import Disturbance
@@ -293,7 +293,7 @@ def _dense_responses(truth: Evaluation, frequencies: Array, at: str) -> ComplexA
     design, structure, frame = truth.design, truth.system.structure, truth.frame
     modes, loop = truth.all_modes, design.loop
     n = frame.shapes.shape[0]
-    mirror, pid = loop.mirror, loop.controller
+    mirror = loop.mirror
     k, m, c = (np.zeros((n + 1, n + 1)) for _ in range(3))
     k[:n, :n] = stiffness_matrix(structure, design.area)
     m[:n, :n] = mass_matrix(structure, design.area, design.batten_mass, design.mirror_mass)
@@ -308,7 +308,7 @@ def _dense_responses(truth: Evaluation, frequencies: Array, at: str) -> ComplexA
     response: ComplexArray = np.zeros(frequencies.size, dtype=complex)
     for i, w in enumerate(frequencies):
         s = 1j * w
-        control = pid.gain * (pid.kp + pid.ki / s + pid.kd * s / (1 + pid.rolloff_time * s))
+        control = pid_response(loop.controller, s)
         total = k + s * c + s**2 * m
         # Control torque −K (θ_m + measured): on the mirror, reacting on the port.
         total[:, n] -= control * across

@@ -319,6 +319,10 @@ def test_poles_are_found_where_two_structural_frequencies_coincide():
         twins = replace(modes, natural_frequency=frequency.copy())
         poles = closed_loop_poles(loop, twins, "tip")
         assert reference.worst_match(poles.all, dense_poles(loop, twins)) < 1e-6
+        g, _ = poles.receptances()
+        expected = receptances(twins, poles.value)
+        assert np.abs(g.direct / expected.direct - 1).max() < 1e-8
+        assert np.abs(g.cross / expected.cross - 1).max() < 1e-8
 
 
 def test_poles_of_a_mirror_on_a_structure_without_a_mode_that_moves_it_are_those_on_a_rigid_support():

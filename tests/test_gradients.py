@@ -237,11 +237,14 @@ def test_a_mirror_on_held_ground_leaves_all_modes_alone_and_the_slowest_kept_dec
     structure = assemble(grounded, "tip")
     mirror = replace(reference.mirror_of(reference.structure(), 0.2), inertia=0.02)
     selection = ModeSelection(keep=keep)
-    system = System(structure, "tip", Hub("fixed"), Damping((0.001,)), (), selection=selection)
+    # The first mode is damped so well that a later one decays more slowly.
+    damping = Damping((0.05, 0.001))
+    system = System(structure, "tip", Hub("fixed"), damping, (), selection=selection)
     design = Design(structure.area, structure.batten_mass, 50.0, reference.loop_of(mirror))
     evaluation = Evaluation(system, design)
     value, gradient = evaluation.metric("spectral_abscissa")
-    frequency, by_frequency = evaluation.metric("structure_frequency", 1)
+    slowest = 2 if keep is None else 1
+    frequency, by_frequency = evaluation.metric("structure_frequency", slowest)
     assert value == pytest.approx(-0.001 * frequency, rel=1e-12, abs=0)
     assert np.abs(gradient + 0.001 * by_frequency).max() <= 1e-12 * np.abs(gradient).max()
 

@@ -112,20 +112,20 @@ def test_the_lightest_truss_of_a_given_frequency_is_that_of_another_solver():
         m = mass_matrix(of, area(z), of.batten_mass, mirror_mass)
         return np.sqrt(linalg.eigh(k, m, eigvals_only=True, subset_by_index=[0, 0])[0])
 
-    other = optimize.minimize(
-        lambda z: float(structural_mass(of, area(z), of.batten_mass)),
-        [0.66, 0.66],
-        method="SLSQP",
-        bounds=[(0.13, 3.3)] * 2,
-        constraints={"type": "ineq", "fun": lambda z: first(z) / bound - 1},
-        options={"ftol": 1e-12},
+    # On the bound, which is active, the longerons' area gives the diagonals'; the rest is a search on a line.
+    def on_bound(longeron):
+        return [longeron, optimize.brentq(lambda d: first([longeron, d]) - bound, 0.13, 3.3, xtol=1e-13)]
+
+    other = optimize.minimize_scalar(
+        lambda z: float(structural_mass(of, area(on_bound(z)), of.batten_mass)),
+        bounds=found.x[0] * 1e4 * np.array([0.9, 1.1]),
+        method="bounded",
+        options={"xatol": 1e-8},
     )
-    assert other.success
-    assert first(found.x * 1e4) == pytest.approx(bound, rel=AT_OPTIMUM), "the bound is active"
-    assert np.all((found.x > 13.5e-6) & (found.x < 320e-6)), "and none of the areas'"
-    # SLSQP's finite differences leave 1e-8 of a gradient.
-    assert found.objective == pytest.approx(other.fun, rel=1e-6)
-    np.testing.assert_allclose(found.x * 1e4, other.x, rtol=1e-3)
+    assert np.all((found.x > 13.5e-6) & (found.x < 320e-6)), "no area is at its bound"
+    assert first(found.x * 1e4) == pytest.approx(bound, rel=AT_OPTIMUM)
+    assert found.objective == pytest.approx(other.fun, rel=AT_OPTIMUM)
+    np.testing.assert_allclose(found.x * 1e4, on_bound(other.x), rtol=POINT)
 
 
 def test_least_jitter_is_no_more_than_a_dense_search_finds():
@@ -145,7 +145,7 @@ def test_least_jitter_is_no_more_than_a_dense_search_finds():
     assert best < 1.5 * found.objective
 
 
-@pytest.mark.parametrize(("name", "bound", "step"), [("mass", 20.0, 2e-3), ("margin", 0.9, 2e-3)])
+@pytest.mark.parametrize(("name", "bound", "step"), [("mass", 20.0, 2e-4), ("margin", 0.9, 2e-4)])
 def test_a_multiplier_is_the_change_of_the_optimum_per_unit_of_its_bound(name, bound, step):
     def posed(value):
         bounds = {"mass": 20.0, "margin": 0.5} | {name: value}
@@ -166,8 +166,8 @@ def test_a_multiplier_is_the_change_of_the_optimum_per_unit_of_its_bound(name, b
     metric = {"mass": "structural_mass", "margin": "modulus_margin"}[name]
     own = [m for m, row in zip(mid.multipliers, mid.row_names, strict=True) if row == metric]
     assert abs(slope) > 0
-    # Central differences are good to the square of their step.
-    assert -sum(own) == pytest.approx(slope, rel=100 * step**2 + POINT)
+    # The optimum is good to 1e-9, its difference over 4e-4 of the bound to some 1e-5 of the slope.
+    assert -sum(own) == pytest.approx(slope, rel=3e-4)
 
 
 # ---- the answer does not depend on how it was sought ----
@@ -209,7 +209,8 @@ def test_the_scaled_program_has_the_gradient_of_its_rows(log):
         (up, _, rows_up, _), (down, _, rows_down, _) = program(z + h), program(z - h)
         assert gradient[i] == pytest.approx((up - down) / (2 * h[i]), rel=1e-5, abs=1e-8)
         np.testing.assert_allclose(jacobian[:, i], (rows_up - rows_down) / (2 * h[i]), rtol=1e-5, atol=1e-8)
-    assert program.objective(value) == problem.evaluate(problem.start).value("jitter_total")
+    jitter = problem.evaluate(problem.start).value("jitter_total")
+    assert program.objective(value) == pytest.approx(jitter, rel=1e-14)
     assert program.scaled_objective(program.objective(0.7)) == pytest.approx(0.7)
     slope = (program.objective(0.7 + 1e-6) - program.objective(0.7 - 1e-6)) / 2e-6
     assert program.objective_slope(0.7) == pytest.approx(slope, rel=1e-6)
@@ -219,8 +220,9 @@ def test_variables_stay_inside_their_bounds_to_the_last_bit():
     problem = truss_problem()
     program = NonlinearProgram(goal(problem).task(), problem.start)
     lower, upper = problem.bounds
-    for z, limit_of in ((program.lower, lower), (program.upper, upper)):
-        np.testing.assert_array_equal(program.unscaled(z), limit_of)
+    assert np.any(np.exp(program.upper) > upper), "the test tests nothing: no bound is passed by rounding"
+    for z in (program.lower, program.upper):
+        assert np.all((lower <= program.unscaled(z)) & (program.unscaled(z) <= upper))
 
 
 # ---- two bounds, two branches, rows that cannot move ----
@@ -324,8 +326,9 @@ def test_trial_points_without_numbers_are_stepped_back_from():
 
 def test_an_unstable_design_has_no_numbers_in_the_program():
     problem = truss_problem(("jitter_total",), bays=20, percent=2, damping=0.001)
-    program = NonlinearProgram(goal(problem).task(), problem.vector({"crossover": 50 * HZ}))
-    unstable = problem.vector({"crossover": 230 * HZ})
+    program = NonlinearProgram(goal(problem).task(), problem.vector({"crossover": 400 * HZ, "kp": 2000.0}))
+    assert program(program.scaled(program.start)) is not None
+    unstable = problem.vector({"crossover": 100 * HZ})
     assert program(program.scaled(unstable)) is None
     assert "unstable" in program.failure
 
@@ -353,7 +356,7 @@ def test_an_unstable_start_is_made_stable_and_then_optimized(percent):
 
 def test_a_stable_start_is_left_as_it_is():
     problem = truss_problem()
-    assert stabilize(goal(problem), problem.start, Options()) is problem.start
+    np.testing.assert_array_equal(stabilize(goal(problem), problem.start, Options()), problem.start)
 
 
 @pytest.mark.parametrize("free", [[], ["area"]], ids=["nothing free", "too little free"])
@@ -424,9 +427,9 @@ def test_an_infeasible_problem_names_the_constraints_in_conflict_and_no_other():
 
 
 def test_the_least_violation_of_a_conflict_is_stated():
-    # At the largest areas the first frequency is what it is, and the bound asks for half as much again.
-    problem = truss_problem()
-    most = problem.evaluate(problem.vector({"area": 330e-6})).value("first_elastic_frequency")
+    # The bound asks for half as much again as the most there is.
+    problem = truss_problem(("-first_elastic_frequency",))
+    most = -reach(goal(problem, free=["area"]), problem.start, "simultaneous", TIGHT).objective
     problem = replace(problem, constraints=(limit("first_elastic_frequency", lower=1.5 * most),))
     found = persist(goal(problem, free=["area"]).task(), problem.start, Options())
     assert found.status == "infeasible"
@@ -438,7 +441,7 @@ def test_the_least_violation_of_a_conflict_is_stated():
 
 @pytest.fixture(scope="module")
 def by_strategy():
-    problem = mass_limited(24.0, bays=4)
+    problem = mass_limited(26.0, bays=4)
     return problem, {
         name: reach(goal(problem), problem.start, name, Options())
         for name in ("simultaneous", "nested", "sequential")
@@ -450,7 +453,7 @@ def test_all_strategies_reach_a_design_that_meets_the_constraints(by_strategy):
     for solution in found.values():
         assert solution.status == "optimal"
         at = problem.evaluate(solution.x)
-        assert at.value("structural_mass") <= 24.0 * (1 + 1e-6)
+        assert at.value("structural_mass") <= 26.0 * (1 + 1e-6)
         assert at.value("modulus_margin") >= 0.5 * (1 - 1e-6)
         assert at.value("jitter_total") == pytest.approx(solution.objective, rel=1e-6)
 
@@ -528,7 +531,7 @@ def test_without_free_structure_all_strategies_are_one(least_jitter):
 @pytest.fixture(scope="module")
 def front():
     problem = truss_problem(constraints=(limit("modulus_margin", lower=0.5),), bays=4)
-    return problem, list(trace_front(problem, problem.start, 4, Search()))
+    return problem, list(trace_front(problem, problem.start, 4, Search(options=TIGHT)))
 
 
 def test_a_front_goes_down_from_the_lightest_to_the_quietest(front):
@@ -544,7 +547,7 @@ def test_a_front_goes_down_from_the_lightest_to_the_quietest(front):
 
 def test_the_ends_of_a_front_are_the_least_of_each_objective(front):
     problem, outcomes = front
-    mass, jitter = (reach(goal(problem, k), problem.start, "simultaneous", Options()) for k in (0, 1))
+    mass, jitter = (reach(goal(problem, k), problem.start, "simultaneous", TIGHT) for k in (0, 1))
     light, quiet = (problem.evaluate(outcomes[k].solution.x) for k in (0, -1))
     heaviest = quiet.value("structural_mass")
     assert mass.objective <= light.value("structural_mass") * (1 + 1e-6)

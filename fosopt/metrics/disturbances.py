@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
-from math import inf, pi, sqrt
+from math import inf, sqrt
 
 import numpy as np
 from scipy import signal
@@ -204,8 +204,3 @@ def refuse_infinite_variance(disturbance: Disturbance, loop: Loop, drifting: boo
     needed = 1 if pid.ki != 0 else 2
     if pushing and shape.zeros_at_origin < needed:
         raise ModelError(drift)
-
-
-def hertz(frequency: float) -> float:
-    """Frequency in Hz of one in rad/s."""
-    return frequency / (2 * pi)

@@ -34,7 +34,7 @@ class ModalFunctional:
     mirror_frequency: float = 0.0
 
 
-def mirror_inertia_from_modes(modes: CoupledModes, mirror_shape: Array) -> float:
+def mirror_inertia_from_modes(mirror_shape: Array) -> float:
     """J_m = 1/Σ φ_ik² over the coupled mode shapes at the inertial mirror angle.    [Barker1991] Eq. (4.3)"""
     return float(1 / np.sum(mirror_shape**2))
 
