@@ -14,7 +14,7 @@ export OPENBLAS_NUM_THREADS := 1
 help:
 	@echo "make test    lint, then all tests"
 	@echo "make lint    ruff and mypy"
-	@echo "make demo    solve studies/mass-jitter.yaml; results and report go to runs/mass-jitter"
+	@echo "make demo    solve studies/mass-jitter.yaml; results and report go to runs/mass-jitter (the next to -2)"
 	@echo "make bench   run every benchmark"
 	@echo "make clean   remove the environment and all caches; runs/ stays"
 
@@ -27,7 +27,7 @@ lint: $(READY)
 	$(BIN)/mypy
 
 demo: $(READY)
-	$(BIN)/fosopt run studies/mass-jitter.yaml --out runs/mass-jitter
+	$(BIN)/fosopt run studies/mass-jitter.yaml
 
 bench: $(READY)
 	@set -e; for file in $$(grep -l '^if __name__' benchmarks/*.py); do echo "$$file"; $(BIN)/python "$$file"; done
