@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from math import inf
 from typing import Any
 
 from fosopt.errors import ModelError
@@ -33,10 +34,14 @@ class Mirror:
     def __post_init__(self) -> None:
         for name in ("inertia", "natural_frequency", "damping_ratio"):
             value = getattr(self, name)
-            if not is_symbolic(value) and not value >= 0:
+            if is_symbolic(value):
+                continue
+            if not value >= 0:
                 raise ModelError(
                     f"mirror: {name} {value} is negative or not a number; give a value above zero"
                 )
+            if value == inf or (name == "inertia" and value == 0):
+                raise ModelError(f"mirror: {name} {value} is no physical value; give a finite one above zero")
 
     @property
     def stiffness(self) -> Any:

@@ -155,4 +155,3 @@ def least_jitter() -> tuple[float, float, float]:
     k = sqrt(TORQUE_INTENSITY / NOISE_INTENSITY + spring**2)
     c = sqrt(2 * MIRROR_INERTIA * (k - spring))
     return c, (k - spring) / c, sqrt(NOISE_INTENSITY * c / MIRROR_INERTIA)
-

@@ -30,6 +30,8 @@ from fosopt.control import (
 from fosopt.control import poles as pole_finder
 from fosopt.control.poles import pole_condition
 from fosopt.errors import ModelError
+from fosopt.metrics.functional import LoopModel
+from fosopt.metrics.jitter import jitter_variances
 from fosopt.modes import Hub
 
 HZ, PORTS = reference.HZ, reference.PORTS
@@ -319,10 +321,27 @@ def test_poles_are_found_where_two_structural_frequencies_coincide():
         twins = replace(modes, natural_frequency=frequency.copy())
         poles = closed_loop_poles(loop, twins, "tip")
         assert reference.worst_match(poles.all, dense_poles(loop, twins)) < 1e-6
-        g, _ = poles.receptances()
-        expected = receptances(twins, poles.value)
-        assert np.abs(g.direct / expected.direct - 1).max() < 1e-8
-        assert np.abs(g.cross / expected.cross - 1).max() < 1e-8
+    # At gap zero the two act as one mode, with the receptances of their sum.
+    g, _ = poles.receptances()
+    expected = receptances(twins, poles.value)
+    assert np.abs(g.direct / expected.direct - 1).max() < 1e-6
+    assert np.abs(g.cross / expected.cross - 1).max() < 1e-6
+
+
+def test_jitter_is_smooth_as_two_structural_frequencies_meet():
+    loop, modes = truss_loop(0.2, keep=slice(0, 7))
+    frequency = modes.natural_frequency.copy()
+    values = []
+    for gap in (0.0, 1e-13, 1e-12, 1e-11, 1e-10, 1e-9, 1e-8):
+        frequency[4] = frequency[3] * (1 + gap)
+        twins = replace(modes, natural_frequency=frequency.copy())
+        poles = closed_loop_poles(loop, twins, "tip")
+        found = jitter_variances(LoopModel(loop, twins, "tip"), poles, reference.DISTURBANCES)
+        values.append([variance.value for variance in found])
+    change = np.array(values)[1:] / np.array(values)[0] - 1
+    # In proportion to the gap, as far down as the gap is more than rounding.
+    assert np.abs(change[-1]).max() < 1e-6
+    assert np.abs(change[:-1] - change[-1] * 10.0 ** np.arange(-5, 0)[:, None]).max() < 1e-11
 
 
 def test_poles_of_a_mirror_on_a_structure_without_a_mode_that_moves_it_are_those_on_a_rigid_support():

@@ -307,9 +307,7 @@ def test_metrics_as_a_casadi_function_are_those_of_the_evaluation(problem):
     f = problem.metric_function(*names)
     x = problem.start * 1.05
     evaluation = problem.evaluate(x)
-    np.testing.assert_allclose(
-        f(x).full().ravel(), [evaluation.value(name) for name in names], rtol=ROUNDING
-    )
+    np.testing.assert_allclose(f(x).full().ravel(), [evaluation.value(name) for name in names], rtol=ROUNDING)
 
 
 def test_a_composed_casadi_expression_has_the_chain_rule_of_the_oracle(problem):

@@ -90,7 +90,7 @@ def test_the_quietest_mirror_loop_between_torque_and_sensor_noise_is_the_closed_
 
 def test_the_lightest_truss_of_a_given_frequency_is_that_of_another_solver():
     of = structure("fixed", 2)
-    bound, mirror_mass = 100 * HZ, 250.0
+    bound, mirror_mass = 50 * HZ, 20.0
     problem = Problem(
         System(of, "tip", Hub("fixed"), Damping((0.01,))),
         Design(of.area, of.batten_mass, mirror_mass, loop_of(mirror_of(of, 0.2))),
@@ -240,9 +240,7 @@ def test_two_frequencies_that_meet_at_the_optimum_share_the_bound():
     name = [bar.name for bar in of.truss.bars]
     corners = [tuple(i for i, n in enumerate(name) if n[0] == "L" and n[2] == str(j)) for j in range(4)]
     braces = tuple(i for i, n in enumerate(name) if n[0] in "DE")
-    area = variable(
-        "area", [1e-6] * 5, [1e-2] * 5, [1e-4, 2e-4, 1e-4, 3e-4, 1e-4], groups=(*corners, braces)
-    )
+    area = variable("area", [1e-6] * 5, [1e-2] * 5, [1e-4, 2e-4, 1e-4, 3e-4, 1e-4], groups=(*corners, braces))
     bound = 60 * HZ
     problem = Problem(
         System(of, "tip", Hub("fixed"), Damping((0.01,))),
@@ -547,7 +545,9 @@ def test_a_front_goes_down_from_the_lightest_to_the_quietest(front):
 
 def test_the_ends_of_a_front_are_the_least_of_each_objective(front):
     problem, outcomes = front
-    mass, jitter = (reach(goal(problem, k), problem.start, "simultaneous", TIGHT) for k in (0, 1))
+    mass = reach(goal(problem, 0), problem.start, "simultaneous", TIGHT)
+    # From the heavy side jitter has another local minimum; the front is traced from the light one.
+    jitter = reach(goal(problem, 1), mass.x, "simultaneous", TIGHT)
     light, quiet = (problem.evaluate(outcomes[k].solution.x) for k in (0, -1))
     heaviest = quiet.value("structural_mass")
     assert mass.objective <= light.value("structural_mass") * (1 + 1e-6)

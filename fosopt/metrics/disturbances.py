@@ -108,6 +108,22 @@ class Disturbance:
             )
         if (self.filter is None) == (self.frequency is None or self.psd is None):
             raise ModelError(f"disturbance '{self.name}': give either a shaping filter or a spectrum table")
+        if self.frequency is not None and self.psd is not None:
+            rows = self.frequency.size
+            if (
+                rows < 2
+                or self.psd.size != rows
+                or np.any(np.diff(self.frequency) <= 0)
+                or self.frequency[0] < 0
+            ):
+                raise ModelError(
+                    f"disturbance '{self.name}': {rows} frequencies and {self.psd.size} densities; give two rows or "
+                    "more, one density each, frequencies ascending from zero or above"
+                )
+            if not (np.all(np.isfinite(self.psd)) and np.all(self.psd >= 0)):
+                raise ModelError(
+                    f"disturbance '{self.name}': a density is negative or not finite; correct the table"
+                )
         low, high = self.band
         if not 0 <= low < high:
             raise ModelError(

@@ -13,6 +13,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 from math import inf, pi
 
 import numpy as np
@@ -127,6 +128,13 @@ def _by_quadrature(
     return Variance(float(np.sum(density * np.abs(response) ** 2)), (functional,))
 
 
+@lru_cache(maxsize=32)
+def gauss(count: int) -> tuple[Array, Array]:
+    """(count,), (count,) Nodes and weights of Gauss-Legendre quadrature on −1 to 1."""
+    x, w = np.polynomial.legendre.leggauss(count)
+    return x, w
+
+
 def resonance_quadrature(poles: ComplexArray, low: float, high: float, cuts: Array) -> tuple[Array, Array]:
     """Nodes and weights for ∫ f(ω) dω from `low` to `high` with f resonant at the given poles.
 
@@ -156,7 +164,7 @@ def resonance_quadrature(poles: ComplexArray, low: float, high: float, cuts: Arr
     left, right = edges[:-1], edges[1:]
     nearest = np.searchsorted(middles, 0.5 * (left + right))
     center, width = centers[nearest], widths[nearest]
-    x, w = np.polynomial.legendre.leggauss(_NODES)
+    x, w = gauss(_NODES)
     u0, u1 = np.arcsinh((left - center) / width), np.arcsinh((right - center) / width)
     half = 0.5 * (u1 - u0)
     u = 0.5 * (u1 + u0)[:, None] + half[:, None] * x

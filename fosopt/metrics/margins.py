@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from fosopt.control import PID, ClosedLoopPoles, Receptances, characteristic, closed_loop_poles, loop_transfer
+from fosopt.control import ClosedLoopPoles, Receptances, characteristic, loop_transfer
 from fosopt.errors import SolverError
 from fosopt.metrics.functional import Functional, LoopModel
 from fosopt.metrics.inertias import ModalFunctional
@@ -124,10 +123,8 @@ def crossover(model: LoopModel, poles: ClosedLoopPoles) -> tuple[float, Function
     SolverError
         If the loop gain never reaches one.
     """
-    # The loop gain peaks at the poles of the plant, which only a loop without control has.
-    silent = replace(model.loop, controller=PID(0.0, 0.0, 0.0, 0.0))
-    plant = closed_loop_poles(silent, model.modes, model.mirror_port)
-    grid = np.union1d(frequency_grid(model, poles), frequency_grid(model, plant))
+    grid = frequency_grid(model, poles)
+    # Tops of the loop gain are sharper than any grid.
     peaks = _falls(_squared_slope(*loop_transfer_slope(model, grid), 0.0))
     tops = _stationary(
         lambda w: _squared_slope(*loop_transfer_slope(model, w), 0.0), grid[peaks], grid[peaks + 1]

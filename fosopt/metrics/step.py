@@ -13,7 +13,7 @@ import numpy as np
 from fosopt.control import ClosedLoopPoles, closed_loop_response
 from fosopt.errors import ModelError, UnstableError
 from fosopt.metrics.functional import Functional, LoopModel
-from fosopt.metrics.jitter import pole_residues
+from fosopt.metrics.jitter import gauss, pole_residues
 from fosopt.ops import Array, ComplexArray
 
 
@@ -76,8 +76,9 @@ def step_metrics(
     start, end = step.window
     fastest = poles.value[poles.value.real > -40 / start]
     fastest_frequency = np.abs(fastest.imag).max(initial=1 / start)
-    count = int(np.ceil((end - start) * fastest_frequency / np.pi)) + 12
-    x, w = np.polynomial.legendre.leggauss(2 * count)
+    # A power of two, so that neighboring designs share the nodes.
+    count = 2 ** int(np.ceil(np.log2((end - start) * fastest_frequency / np.pi + 12)))
+    x, w = gauss(2 * count)
     time = 0.5 * (start + end) + 0.5 * (end - start) * x
     weight = 0.5 * w
     error = _error(model, poles, time)
@@ -103,7 +104,7 @@ def _path(fastest: float, start: float, end: float) -> tuple[ComplexArray, Compl
     sigma = 5.0 / end
     top = 1.25 * fastest + 40 / start
     left = -45.0 / start
-    x, w = np.polynomial.legendre.leggauss(12)
+    x, w = gauss(12)
 
     def panels(first: complex, last: complex, count: int) -> tuple[ComplexArray, ComplexArray]:
         edges: ComplexArray = np.linspace(first, last, count + 1, dtype=complex)

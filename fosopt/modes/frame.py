@@ -114,6 +114,13 @@ def modal_frame(
         the hub.
     """
     k_rows, m_rows = structure.stiffness_rows, structure.mass_rows
+    for what, values in (
+        ("area", area),
+        ("batten_mass", batten_mass),
+        ("mirror_mass", np.atleast_1d(mirror_mass)),
+    ):
+        if not np.all(values >= 0):
+            raise ModelError(f"{what}: {values.min():g} is negative or not a number; give zero or more")
     k = stiffness_matrix(structure, area)
     m = mass_matrix(structure, area, batten_mass, mirror_mass)
     try:

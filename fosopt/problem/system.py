@@ -86,6 +86,11 @@ class System:
     step: StepCommand | None = None
     selection: ModeSelection = field(default_factory=ModeSelection)
 
+    def __post_init__(self) -> None:
+        names = [d.name for d in self.disturbances]
+        if len(set(names)) < len(names):
+            raise ModelError(f"disturbances: the names {names} are not unique; rename one")
+
     @property
     def truth(self) -> System:
         """The same system with all its modes: the model a design is judged on."""

@@ -10,6 +10,7 @@ from scipy import sparse
 
 from fosopt.errors import ModelError, did_you_mean
 from fosopt.ops import Array
+from fosopt.structure.checks import check_truss, refuse_unknown
 from fosopt.structure.truss import ROTATIONS, TRANSLATIONS, Batten, Structure, Truss
 
 
@@ -40,7 +41,7 @@ def assemble(truss: Truss, mirror_port: str) -> Structure:
         For an unknown node, batten, component or port, a bar of no length, a quantity without a physical
         value, or a truss without a port ``hub``.
     """
-    _check(truss, mirror_port)
+    check_truss(truss, mirror_port)
     frame = _frame(truss)
     stiffness_rows, by_area, k_constant = _stiffness(truss, frame)
     mass = _mass(truss, frame, mirror_port)
@@ -48,6 +49,8 @@ def assemble(truss: Truss, mirror_port: str) -> Structure:
 
     held = {_dof(frame, at, c, "support") for at, components in truss.supports.items() for c in components}
     free = [index for index, name in enumerate(frame.names) if name not in held]
+    if not free:
+        raise ModelError("supports: they hold every degree of freedom; leave at least one free")
     ports = {}
     for name, (at, component) in truss.ports.items():
         row = np.array([frame.names[i] == _dof(frame, at, component, f"port '{name}'") for i in free], float)
@@ -78,60 +81,6 @@ def bar_lengths(truss: Truss) -> Array:
 
 def _rotations(dim: int) -> tuple[str, ...]:
     return ("rz",) if dim == 2 else ROTATIONS
-
-
-def _check(truss: Truss, mirror_port: str) -> None:
-    def refuse(what: str, value: object, rule: str) -> None:
-        raise ModelError(f"{what}: {value} {rule}")
-
-    dims = {len(xyz) for xyz in truss.nodes.values()}
-    if dims not in ({2}, {3}):
-        refuse(
-            "nodes",
-            sorted(dims),
-            "coordinates per node; give two for a planar truss or three for a spatial one",
-        )
-    carried: dict[str, str] = {}
-    for batten in truss.battens:
-        for node in batten.nodes:
-            _known(node, truss.nodes, f"batten '{batten.name}'")
-            if node in carried:
-                refuse(
-                    f"batten '{batten.name}'",
-                    f"node '{node}'",
-                    f"already belongs to '{carried[node]}'; a node has one batten",
-                )
-            carried[node] = batten.name
-        if not batten.mass > 0 or not np.all(np.asarray(batten.inertia) > 0):
-            refuse(
-                f"batten '{batten.name}'",
-                f"mass {batten.mass}, inertia {batten.inertia}",
-                "must be above zero",
-            )
-    lengths_needed = []
-    for bar in truss.bars:
-        for node in bar.nodes:
-            _known(node, truss.nodes, f"bar '{bar.name}'")
-        lengths_needed.append(bar)
-        for what in ("area", "young", "density"):
-            value = getattr(bar, what)
-            if not (np.isfinite(value) and value > 0):
-                refuse(
-                    f"bar '{bar.name}'",
-                    f"{what} {value}",
-                    "is not above zero; give a positive value or leave the bar out",
-                )
-    for bar, length in zip(lengths_needed, bar_lengths(truss), strict=True):
-        if not length > 0:
-            refuse(f"bar '{bar.name}'", f"length {length}", "m; its two nodes must lie apart")
-    for port in ("hub", mirror_port):
-        if port not in truss.ports:
-            raise ModelError(f"port '{port}' does not exist; {did_you_mean(port, truss.ports)}")
-
-
-def _known(name: str, known: Mapping[str, object], where: str) -> None:
-    if name not in known:
-        raise ModelError(f"{where}: '{name}' does not exist; {did_you_mean(name, known)}")
 
 
 def _frame(truss: Truss) -> _Frame:
@@ -183,7 +132,7 @@ def _cross(arm: Array) -> Array:
 
 
 def _dof(frame: _Frame, at: str, component: str, where: str) -> str:
-    _known(at, frame.body_maps, where)
+    refuse_unknown(at, frame.body_maps, where)
     name = f"{at}.{component}"
     if name not in frame.names:
         known = [n.split(".")[-1] for n in frame.names if n.rsplit(".", 1)[0] == at]
@@ -239,7 +188,7 @@ def _mass(truss: Truss, frame: _Frame, mirror_port: str) -> _Mass:
         batten_entries += [(count + i, r, share) for i, share in enumerate(shares)]
         count += shares.size
     for point in truss.points:
-        _known(point.at, frame.body_maps, "point mass")
+        refuse_unknown(point.at, frame.body_maps, "point mass")
         body = frame.body_maps[point.at]
         values = np.full(body.shape[0], point.inertia)
         values[:dim] = point.mass

@@ -94,6 +94,8 @@ class _MemberVariable(_Variable):
     def _check_groups(self) -> Self:
         if self.groups is not None and self.group_by is not None:
             raise RuleError("'groups' and 'group_by' exclude each other; remove one", "group_by", of_key=True)
+        if self.groups is None and self.group_by is None:
+            raise RuleError("'group_by' is empty; write member, bay, kind or all", "group_by")
         return self
 
 
