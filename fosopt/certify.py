@@ -35,6 +35,8 @@ POLE_AGREEMENT = 1e-9
 MODE_RESIDUAL = 1e-9
 # Scaled KKT residual of a local optimum: what a quasi-Newton solver reaches at its acceptable level.
 OPTIMALITY = 1e-3
+# Metrics that an unstable loop does not have.
+_LOOP_ONLY = ("jitter_", "step_", "modulus_margin", "loop_crossover")
 # A bound or constraint within this of its limit (relative) counts as active.
 _ACTIVE = 1e-5
 
@@ -142,7 +144,7 @@ def certify(
         )
     elif truth.system.disturbances:
         jitter_disagreement = max(
-            abs(independent_variance(truth, system, d) / truth.variances[f"jitter_{d.name}"].value - 1) / 2
+            _disagreement(independent_variance(truth, system, d), truth.variances[f"jitter_{d.name}"].value)
             for d in truth.system.disturbances
         )
         if not jitter_disagreement <= AGREEMENT:
@@ -155,7 +157,7 @@ def certify(
         reasons.append(f"optimality: KKT residual {kkt:.1e} exceeds {OPTIMALITY:.0e}")
     reports = []
     for constraint in constraints:
-        report = _constraint(problem, x, truth, constraint, multipliers.get(constraint.name))
+        report = _constraint(problem, x, truth, stable, constraint, multipliers.get(constraint.name))
         if report is None:
             reasons.append(f"constraint '{constraint.name}' has no value: the loop is unstable")
             continue
@@ -182,9 +184,8 @@ def certify(
 def metrics_of(evaluation: Evaluation, stable: bool) -> dict[str, float | None]:
     """All scalar metrics of a design; None where it has none, as an unstable loop has no jitter or margin."""
     values: dict[str, float | None] = {}
-    loop_only = ("jitter_", "step_", "modulus_margin", "loop_crossover")
     for name in evaluation.system.metric_names:
-        if name.startswith(loop_only) and not stable:
+        if name.startswith(_LOOP_ONLY) and not stable:
             values[name] = None
             continue
         try:
@@ -192,6 +193,11 @@ def metrics_of(evaluation: Evaluation, stable: bool) -> dict[str, float | None]:
         except FosoptError:
             values[name] = None
     return values
+
+
+def _disagreement(variance: float, other: float) -> float:
+    """Relative difference of two rms values from their squares; none where both are zero."""
+    return 0.0 if variance == other else abs(variance - other) / (2 * max(abs(variance), abs(other)))
 
 
 def _truncation_error(
@@ -324,8 +330,15 @@ def _size(constraint: Constraint) -> float:
 
 
 def _constraint(
-    problem: Problem, x: Array, truth: Evaluation, constraint: Constraint, multiplier: float | None
+    problem: Problem,
+    x: Array,
+    truth: Evaluation,
+    stable: bool,
+    constraint: Constraint,
+    multiplier: float | None,
 ) -> ConstraintReport | None:
+    if not stable and any(name.startswith(_LOOP_ONLY) for name, _ in constraint.expression.references):
+        return None
     try:
         value = float(Rows(problem, (constraint.expression,))(x, truth)[0][0])
     except FosoptError:

@@ -117,7 +117,11 @@ def test_a_metric_of_a_step_needs_a_step_command(problem):
     ("constraint", "metric"),
     [
         (limit("first_elastic_frequency", lower=1.0), "first_elastic_frequency"),
-        (limit("modulus_margin", lower=0.5, upper=1.0), "modulus_margin"),
+        (limit("modulus_margin", lower=0.5), "modulus_margin"),
+        (limit("modulus_margin", lower=0.5, upper=1.0), None),
+        (limit("spectral_abscissa", upper=-0.5), "spectral_abscissa"),
+        (limit("spectral_abscissa", lower=-0.5), None),
+        (limit("spectral_abscissa", lower=-1.0, upper=-0.5), None),
         (limit("modulus_margin", upper=0.5), None),
         (limit("2*modulus_margin", lower=0.5), None),
         (limit("structural_mass", lower=0.5), None),
@@ -125,7 +129,7 @@ def test_a_metric_of_a_step_needs_a_step_command(problem):
     ],
     ids=lambda value: value.name if hasattr(value, "name") else str(value),
 )
-def test_only_a_minimum_bounded_below_enters_branch_by_branch(constraint, metric):
+def test_only_what_holds_for_every_branch_enters_branch_by_branch(constraint, metric):
     assert branched(constraint) == metric
 
 

@@ -88,7 +88,7 @@ def quick(tmp_path_factory):
 
 
 def test_a_run_leaves_every_file_it_promises(quick):
-    keys = ["start", *(f"{k:03d}" for k in range(5))]
+    keys = ["start", *(f"{k:03d}" for k in range(6))]
     assert sorted(path.name for path in quick.out.iterdir()) == [
         "designs",
         "front.csv",
@@ -167,8 +167,8 @@ def test_the_resolved_study_runs_to_the_same_front(quick, tmp_path):
 def test_progress_tells_every_point_once_and_counts_them_all(quick):
     finished = [p for p in quick.heard if p.point is not None]
     assert [p.point["key"] for p in finished] == [p["key"] for p in quick.run["points"]]
-    assert [p.done for p in finished] == list(range(1, 7))
-    assert {p.total for p in quick.heard} == {6}
+    assert [p.done for p in finished] == list(range(1, 8))
+    assert {p.total for p in quick.heard} == {7}
     assert quick.heard[-1].stage == "writing files"
     assert all(a.seconds <= b.seconds for a, b in pairwise(quick.heard))
 
@@ -176,9 +176,9 @@ def test_progress_tells_every_point_once_and_counts_them_all(quick):
 def test_the_comparison_puts_the_strategies_side_by_side_at_the_same_limit(quick):
     rows = quick.run["comparison"]
     assert quick.run["comparison_objective"] == "jitter_total"
-    assert len(rows) == 2, "both ends but the quiet one, which has no limit on mass"
+    assert len(rows) == 3
     points = by_key(quick.run["points"])
-    for row, (own, other) in zip(rows, (("000", "001"), ("002", "003")), strict=True):
+    for row, (own, other) in zip(rows, (("000", "001"), ("002", "003"), ("004", "005")), strict=True):
         limit = next(c for c in points[own]["constraints"] if c["name"] == "structural_mass")["upper"]
         assert row["at"] == {"structural_mass": limit}
         assert row["simultaneous"] == points[own]["metrics"]["jitter_total"]
@@ -194,6 +194,7 @@ def test_parents_of_the_front_are_keys_of_the_run(quick):
         "002": "000",
         "003": None,
         "004": None,
+        "005": None,
     }
 
 
@@ -535,7 +536,7 @@ def test_a_hub_that_contradicts_the_supports_points_at_the_hub():
     assert "the supports let the structure rotate" in error.message
 
 
-AREA = "  - quantity: area\n    group_by: kind               # member | bay | kind | all: how many areas vary on their own\n"
+AREA = "".join(section(TEMPLATE, "variables").splitlines(keepends=True)[1:3])
 
 
 @pytest.mark.parametrize(

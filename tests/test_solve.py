@@ -580,11 +580,8 @@ def test_parents_count_the_points_of_other_strategies_too():
     problem = truss_problem(constraints=(limit("modulus_margin", lower=0.5),))
     how = Search(compare=("sequential",))
     outcomes = list(trace_front(problem, problem.start, 3, how))
-    assert [each.strategy for each in outcomes] == [
-        *("simultaneous", "sequential") * 2,
-        "simultaneous",
-    ]
-    assert [each.parent for each in outcomes] == [None, None, 0, None, None]
+    assert [each.strategy for each in outcomes] == [*("simultaneous", "sequential") * 3]
+    assert [each.parent for each in outcomes] == [None, None, 0, None, None, None]
     assert outcomes[1].goal == outcomes[0].goal
 
 

@@ -93,7 +93,11 @@ def search(
     best = min(
         found, key=lambda s: (s.status != "optimal", s.objective if np.isfinite(s.objective) else np.inf)
     )
-    near = [s for s in found if s.status == "optimal" and s.objective <= best.objective * (1 + _SAME)]
+    near = [
+        s
+        for s in found
+        if s.status == "optimal" and s.objective <= best.objective + _SAME * abs(best.objective)
+    ]
     return best, len(found), len(near)
 
 

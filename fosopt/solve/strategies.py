@@ -34,6 +34,7 @@ _STRUCTURAL = frozenset(
     }
 )
 _STABILIZING_ROUNDS = 12
+_AHEAD, _LEAST_AHEAD = 1.2, 1e-3  # how far right of the rightmost pole the shift lies: factor, and [rad/s]
 # Of the tolerance asked for: an inner optimum that looks smooth from outside, and an outer one above what is left
 # of its noise.
 _INNER_TOLERANCE, _OUTER_TOLERANCE = 0.01, 10.0
@@ -114,7 +115,9 @@ def persist(task: Task, start: Array, options: Options, stop: Callable[[], bool]
     )
     conflict = elastic.conflict(least)
     if conflict is not None:
-        return replace(tried, x=least.x, status="infeasible", reason=conflict)
+        # Only a least violation that was found to the end says that the constraints cannot be met.
+        met = least.status == "optimal"
+        return replace(tried, x=least.x, status="infeasible", reason=conflict) if met else tried
     again = solve(NonlinearProgram(task, least.x), options, stop)
     return replace(
         again, iterations=tried.iterations + again.iterations, seconds=tried.seconds + again.seconds
@@ -139,21 +142,22 @@ def stabilize(
     iterations, seconds = 0, 0.0
     abscissa = problem.evaluate(x).value("spectral_abscissa")
     objective = parse_expression("log(jitter_total)" if problem.system.disturbances else "spectral_abscissa")
+    ahead = _AHEAD
     for _ in range(_STABILIZING_ROUNDS):
-        if abscissa < 0:
-            return x
-        if not goal.free.any():
+        if abscissa < 0 or not goal.free.any():
             break
         task = replace(goal.task(), objective=objective, constraints=())
-        program = NonlinearProgram(task, x, shift=1.2 * abscissa + 1e-3)
+        program = NonlinearProgram(task, x, shift=ahead * abscissa + _LEAST_AHEAD)
         found = solve(program, options, stop, lambda y: problem.evaluate(y).value("spectral_abscissa") < 0)
         iterations, seconds = iterations + found.iterations, seconds + found.seconds
         if found.status == "interrupted":
             return found
         now = problem.evaluate(found.x).value("spectral_abscissa")
-        if not now < 0.99 * abscissa:
-            break
-        x, abscissa = found.x, now
+        if now < 0.99 * abscissa:
+            x, abscissa, ahead = found.x, now, _AHEAD
+        else:
+            # The solver starts a little inside the bounds, which may be right of this shift: look from further off.
+            ahead *= _AHEAD**3
     if abscissa < 0:
         return x
     reason = (
@@ -222,11 +226,12 @@ class _NestedProgram(NonlinearProgram):
             stable = stabilize(inner, start, self._options, self._stop)
             if isinstance(stable, Solution):
                 return None
-            found = solve(NonlinearProgram(inner.task(), stable), self._options, self._stop)
+            task = inner.task()
+            found = solve(NonlinearProgram(task, stable), self._options, self._stop)
             if found.status != "optimal":
                 return None
-            both = replace(inner, free=self._goal.discipline("structure"))
-            answer = NonlinearProgram(both.task(), found.x)
+            # The same rows, looked at along the structure.
+            answer = NonlinearProgram(replace(task, free=self._goal.discipline("structure")), found.x)
             at_optimum = answer(answer.scaled(found.x))
             if at_optimum is None:
                 return None

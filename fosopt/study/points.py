@@ -58,6 +58,10 @@ def judged_point(problem: Problem, position: int, case: str | None, outcome: Out
     )
 
 
+# Objectives this close (relative) are one: above what a converged solver leaves.
+_SAME = 1e-6
+
+
 def evaluated_point(problem: Problem, x: Array, key: str, label: str) -> dict[str, Any]:
     """A design that was not searched for, judged as it is."""
     begin = time.perf_counter()
@@ -126,6 +130,8 @@ def _point(
 
 def state_prices(point: dict[str, Any], quantities: Mapping[str, Mapping[str, Any]]) -> None:
     """Say in words what one unit more of each active bound costs or saves."""
+    if point["status"] != "optimal":
+        return
     objective = quantities.get(point["objective"] or "")
     for constraint in point["constraints"]:
         quantity = quantities.get(constraint["name"])
@@ -172,8 +178,9 @@ def mark_dominated(points: list[dict[str, Any]], objectives: list[str]) -> bool:
     }
     for i, mine in values.items():
         points[i]["dominated"] = any(
-            j != i and all(a <= b for a, b in zip(other, mine, strict=True)) and other != mine
-            for j, other in values.items()
+            all(a <= b + _SAME * abs(b) for a, b in zip(other, mine, strict=True))
+            and any(a < b - _SAME * abs(b) for a, b in zip(other, mine, strict=True))
+            for other in values.values()
         )
     return any(p["dominated"] for p in points)
 
