@@ -1,9 +1,16 @@
-"""One thread before NumPy loads: the last bits of an eigenvalue change with the number of threads."""
+"""Shared fixtures, and what must hold before NumPy loads."""
 
 import os
 
 import pytest
+from hypothesis import settings
 
+# A slow machine is no defect. Continuous integration repeats the same cases; elsewhere they are drawn anew.
+settings.register_profile("any", deadline=None)
+settings.register_profile("repeatable", deadline=None, derandomize=True)
+settings.load_profile("repeatable" if os.environ.get("CI") else "any")
+
+# One thread: the last bits of an eigenvalue change with the number of threads.
 for _name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"):
     os.environ.setdefault(_name, "1")
 
