@@ -6,6 +6,7 @@ import errno
 import json
 import os
 import re
+import select
 import signal
 import subprocess
 import sys
@@ -384,6 +385,14 @@ def test_text_goes_to_a_stream_of_another_encoding(study):
     assert b"first_elastic_frequency ? 4 Hz" in done.stdout
 
 
+def _drained(descriptor: int) -> str:
+    """All that was written to a pseudo-terminal, which hands it over in pieces and a little later."""
+    pieces = []
+    while select.select([descriptor], [], [], 0.5)[0]:
+        pieces.append(os.read(descriptor, 65536))
+    return b"".join(pieces).decode()
+
+
 @pytest.mark.skipif(sys.platform == "win32", reason="there are no pseudo-terminals")
 def test_a_terminal_shows_a_bar_with_the_best_values(study, solved, monkeypatch):
     start = point("start", "evaluated", metrics={"structural_mass": 1.0})  # light, and breaks a constraint
@@ -401,7 +410,7 @@ def test_a_terminal_shows_a_bar_with_the_best_values(study, solved, monkeypatch)
         with watching(loaded) as watch:
             runner.run_study(loaded, Path("out"), progress=watch, stop=lambda: False)
             time.sleep(0.3)
-        shown = os.read(main, 1_000_000).decode()
+        shown = _drained(main)
     os.close(main)
     assert "best: structural_mass 9.1 kg, jitter_total 3.33333 urad, 1 failed" in shown
     assert "001 point 001: failed, not verified; why" in shown
