@@ -16,7 +16,7 @@ from fosopt.expressions import parse_expression
 from fosopt.metrics.disturbances import Disturbance, high_pass, low_pass, white
 from fosopt.modes import Damping, Hub
 from fosopt.problem import Constraint, Definitions, Design, Problem, System, Variable
-from fosopt.solve import Goal, everything_free
+from fosopt.solve import Goal, Options, everything_free
 from fosopt.structure import Bar, Batten, Spring, Truss, assemble
 
 Array = NDArray[np.float64]
@@ -93,6 +93,21 @@ def goal(problem: Problem, objective: int = 0, *more: Constraint, free: Sequence
         for name in free:
             mask[problem.slices()[name]] = True
     return Goal(problem, problem.objectives[objective], (*problem.constraints, *more), mask)
+
+
+TIGHT = Options(tolerance=1e-9)
+# An objective is flat at its optimum: a scaled KKT residual of 1e-9 leaves its square, and constraints 1e-9.
+AT_OPTIMUM = 1e-7
+# Points on the way to a flat optimum: the root of that.
+POINT = 1e-4
+# What the strategies may differ by at the same local optimum.
+SAME = 1e-4
+
+
+def mass_limited(kilograms: float = 20.0, **options: Any) -> Problem:
+    """Least jitter of a short truss under a mass limit."""
+    constraints = (limit("structural_mass", upper=kilograms), limit("modulus_margin", lower=0.5))
+    return truss_problem(("jitter_total",), constraints, **options)
 
 
 # Of the rod and the mirror on it.
