@@ -264,7 +264,16 @@ def test_a_constraint_met_on_too_few_modes_only_is_violated():
     truth = few.evaluate(few.start, truth=True).value("modulus_margin")
     assert truth < model
     certificate = certify(few, few.start, (limit("modulus_margin", lower=0.5 * (model + truth)),))
-    assert only(certificate, "constraint 'modulus_margin' is violated by")
+    assert only(certificate, f"constraint 'modulus_margin' is violated by {0.5 * (model - truth):.3g} on")
+
+
+@pytest.mark.parametrize(("share", "active"), [(5e-5, True), (2e-4, False)])
+@pytest.mark.parametrize("name", ["structural_mass", "mirror_inertia"])
+def test_a_bound_is_active_within_a_share_of_its_size(name, share, active):
+    problem = truss_problem()
+    value = problem.evaluate(problem.start).value(name)
+    certificate = certify(problem, problem.start, (limit(name, upper=value / (1 - share)),))
+    assert certificate.constraints[0].active == active
 
 
 # Residues at wrong poles give what they give; the certificate says so, not the warning.

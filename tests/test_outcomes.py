@@ -24,7 +24,7 @@ def test_an_infeasible_study_names_its_conflict_and_prices_nothing(tmp_path):
         "  - {metric: first_elastic_frequency, lower: 300 Hz}\n  - {metric: structural_mass, upper: 20}\n"
     )
     _, point = run_text(single("jitter_total", constraints), tmp_path)["points"]
-    assert (point["status"], point["verified"]) == ("infeasible", False)
+    assert (point["status"], point["verified"], point["dominated"]) == ("infeasible", False, False)
     assert "constraints conflict: " in point["reason"]
     assert all(c["name"] in point["reason"] for c in point["constraints"])
     assert all(c["statement"] is None for c in point["constraints"])
@@ -90,7 +90,8 @@ def _visible(path: Path) -> str:
 
 def test_cases_of_the_unstable_mirror_tell_gains_structure_and_both_apart(tmp_path):
     study = load_study(STUDIES / "unstable-mirror.yaml", ("variables.0.group_by=kind", "solve.starts=1"))
-    run = run_study(study, tmp_path / "out")
+    totals = set()
+    run = run_study(study, tmp_path / "out", progress=lambda p: totals.add(p.total))
     start, baseline, gains, structure, both = run["points"]
     assert start["status"] == baseline["status"] == "unstable"
     assert baseline["metrics"]["jitter_total"] is None
@@ -105,6 +106,7 @@ def test_cases_of_the_unstable_mirror_tell_gains_structure_and_both_apart(tmp_pa
     mass = next(c for c in gains["constraints"] if c["name"] == "total_mass")
     assert mass["multiplier"] == 0.0, "gains cannot change the mass"
     assert run["comparison"] == []
+    assert totals == {5}
 
 
 # ---- objectives ----

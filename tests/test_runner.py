@@ -4,17 +4,20 @@ from __future__ import annotations
 
 import csv
 import json
+from dataclasses import replace
 from itertools import pairwise
 from math import pi
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
+import numpy as np
 import pytest
 from small_studies import HELD_KEYS, STUDIES, analysis, run_text, single
 
 from fosopt.errors import StudyError
 from fosopt.study import load_study, parse_study
+from fosopt.study.build import build_problem, start_vector
 from fosopt.study.runner import run_study
 from fosopt.study.store import Store
 
@@ -65,6 +68,16 @@ def test_every_point_of_the_quickstart_is_optimal_and_verified(quick):
         assert point["history"][0][0] == 0
     assert {p["strategy"] for p in points} == {"simultaneous", "sequential"}
     assert all((p["kkt_residual"] is None) == (p["strategy"] == "sequential") for p in points)
+
+
+def test_the_seconds_of_the_points_add_up_to_less_than_the_run_took(quick):
+    spent = [point["seconds"] for point in quick.run["points"]]
+    assert all(seconds > 0 for seconds in spent)
+    assert sum(spent) < quick.heard[-1].seconds
+
+
+def test_no_point_of_the_front_is_dominated_but_a_sequential_one_may_be(quick):
+    assert not any(p["dominated"] for p in quick.run["points"] if p["strategy"] != "sequential")
 
 
 def test_the_front_of_the_quickstart_is_monotone(quick):
@@ -176,8 +189,42 @@ def test_the_detail_of_a_point_agrees_with_its_metrics(quick):
         assert detail["cumulative"]["total"][-1] == pytest.approx(metrics["jitter_total"], rel=1e-5, abs=0)
         assert max(p[0] for p in detail["poles"]) == pytest.approx(metrics["spectral_abscissa"], rel=1e-5)
         assert 1 / max(detail["bode"]["sensitivity"]) >= metrics["modulus_margin"] * (1 - 1e-6)
+        assert len(detail["bode"]["frequency_hz"]) <= 700, "curves are thinned"
         assert len(detail["truss"]["areas"]) == 9
         assert set(detail["truss"]["areas"]) == set(point["variables"]["area"])
+
+
+def test_curves_of_the_detail_are_over_hertz(quick, tmp_path):
+    study = load_study(quick.out / "designs" / "002.yaml")
+    (point,) = run_study(study, tmp_path / "again")["points"]
+    detail = point["detail"]
+    bode = detail["bode"]
+    at_crossover = np.interp(
+        point["metrics"]["loop_crossover"] / (2 * pi), bode["frequency_hz"], bode["loop_magnitude"]
+    )
+    # Between points of the curve the magnitude is a chord.
+    assert at_crossover == pytest.approx(1.0, rel=0.02)
+    # The jitter below a frequency is that of a band up to it.
+    problem = build_problem(study)
+    noise = problem.system.disturbances[1]
+    banded = replace(noise, band=(0.0, 2 * pi * 50))
+    below = replace(problem, system=replace(problem.system, disturbances=(banded,)))
+    cumulative = detail["cumulative"]
+    at_fifty = np.interp(50, cumulative["frequency_hz"], cumulative["noise"])
+    exact = below.evaluate(start_vector(study, problem)).value("jitter_noise")
+    # A trapezoid rule for a picture.
+    assert at_fifty / exact == pytest.approx(1, rel=0.03)
+    assert cumulative["noise"] == sorted(cumulative["noise"])
+    assert cumulative["noise"][-1] / detail["jitter"]["noise"] == pytest.approx(1, rel=1e-5)
+
+
+def test_the_step_of_the_detail_ends_at_the_command(tmp_path):
+    text = analysis() + "\nstep:\n  command: 3 urad\n  window: [50 ms, 4 s]\n"
+    (point,) = run_text(text, tmp_path)["points"]
+    step = point["detail"]["step"]
+    assert (step["command"], step["window"]) == (pytest.approx(3e-6, abs=0), [0.05, 4.0])
+    assert (step["time_s"][0], step["response"][0], step["time_s"][-1]) == (0.0, 0.0, 4.0)
+    assert step["response"][-1] / 3e-6 == pytest.approx(1, rel=1e-2)
 
 
 # ---- side files, interruptions, directories ----

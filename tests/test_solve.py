@@ -361,6 +361,7 @@ def test_a_loop_that_cannot_be_made_stable_says_so(free):
     assert found.status == "infeasible"
     assert "no stable design found: a pole keeps the real part" in found.reason
     assert not np.isfinite(found.objective), "an unstable design has no jitter"
+    assert (found.iterations > 0, found.seconds > 0) == (bool(free), bool(free))
 
 
 # ---- ends that are no optimum ----

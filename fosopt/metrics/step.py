@@ -49,6 +49,12 @@ def step_response(model: LoopModel, poles: ClosedLoopPoles, time: Array) -> Arra
 
 
 def _error(model: LoopModel, poles: ClosedLoopPoles, time: Array) -> Array:
+    steady, amplitude = _terms(model, poles)
+    return steady + np.real(np.exp(np.outer(time, poles.value)) @ amplitude)
+
+
+def _terms(model: LoopModel, poles: ClosedLoopPoles) -> tuple[float, ComplexArray]:
+    """Steady error and (m,) amplitudes q_i of e(t) = steady + Re Σ q_i e^{p_i t} after a unit step."""
     if not poles.spectral_abscissa < 0:
         raise UnstableError(
             f"closed loop is unstable: a pole has the real part {poles.spectral_abscissa:.6g} rad/s"
@@ -60,13 +66,13 @@ def _error(model: LoopModel, poles: ClosedLoopPoles, time: Array) -> Array:
         near_zero = np.array([1e-9 + 0j])
         static = closed_loop_response("command", model.loop, near_zero, model.points(near_zero).g)
         steady = float(static[0].real) - 1
-    return steady + np.real(np.exp(np.outer(time, poles.value)) @ amplitude)
+    return steady, amplitude
 
 
 def step_metrics(
     model: LoopModel, poles: ClosedLoopPoles, step: StepCommand
 ) -> dict[str, tuple[float, Functional]]:
-    """Offset and residual rms of a step command in its window, with their differentials.
+    """Offset and residual rms of a step command in its window, with their differentials, in closed form.
 
     Returns
     -------
@@ -74,22 +80,28 @@ def step_metrics(
         ``step_offset``: size of the mean error over the window; ``step_rms``: rms about that mean [rad].
     """
     start, end = step.window
-    fastest = poles.value[poles.value.real > -40 / start]
-    fastest_frequency = np.abs(fastest.imag).max(initial=1 / start)
-    # A power of two, so that neighboring designs share the nodes.
-    count = 2 ** int(np.ceil(np.log2((end - start) * fastest_frequency / np.pi + 12)))
-    x, w = gauss(2 * count)
-    time = 0.5 * (start + end) + 0.5 * (end - start) * x
-    weight = 0.5 * w
-    error = _error(model, poles, time)
-    mean = float(weight @ error)
-    rms = float(np.sqrt(weight @ (error - mean) ** 2))
-    s, along = _path(fastest_frequency, start, end)
-    kernel = np.exp(np.outer(s, time)) * weight
+    steady, q = _terms(model, poles)
+    p = poles.value
+
+    def mean_of(z: ComplexArray) -> ComplexArray:
+        """Mean of e^{zt} over the window."""
+        whole = z * (end - start)
+        ratio = np.divide(np.expm1(whole), whole, out=np.ones_like(whole), where=whole != 0)
+        return np.exp(z * start) * ratio
+
+    swing = float(np.real(q @ mean_of(p)))
+    mean = steady + swing
+    square = q @ mean_of(p[:, None] + p) @ q + q @ mean_of(p[:, None] + p.conj()) @ q.conj()
+    rms = float(np.sqrt(max(0.5 * square.real - swing**2, 0.0)))
+    fastest = p[p.real > -40 / start]
+    s, along = _path(np.abs(fastest.imag).max(initial=1 / start), start, end)
+    # The error's mean weighted with e^{st}, by which a change of T(s)/s reaches the mean square.
+    flat = mean_of(s)
+    lifted = 0.5 * (mean_of(s[:, None] + p) @ q + mean_of(s[:, None] + p.conj()) @ q.conj())
     share = step.command * along / s
     points = model.points(s)
-    offset = Functional("command", points, share * kernel.sum(axis=1) * np.sign(mean))
-    residual = Functional("command", points, share * (kernel @ ((error - mean) / max(rms, 1e-300))))
+    offset = Functional("command", points, share * flat * np.sign(mean))
+    residual = Functional("command", points, share * (lifted - swing * flat) / max(rms, 1e-300))
     return {
         "step_offset": (step.command * abs(mean), offset),
         "step_rms": (step.command * rms, residual),
