@@ -22,6 +22,7 @@ from fosopt.metrics.disturbances import Disturbance
 from fosopt.metrics.jitter import resonance_quadrature
 from fosopt.modes import ModalFrame, ModalSet
 from fosopt.ops import Array, ComplexArray
+from fosopt.plant import coupled_matrices
 from fosopt.problem import Constraint, Evaluation, Problem, Rows
 from fosopt.solve.nlp import NonlinearProgram, Task
 from fosopt.structure import mass_matrix, stiffness_matrix
@@ -298,29 +299,24 @@ def _dense_responses(truth: Evaluation, frequencies: Array, at: str) -> ComplexA
     """(m,) Line-of-sight response to one input, by a dense solve at each frequency."""
     design, structure, frame = truth.design, truth.system.structure, truth.frame
     modes, loop = truth.all_modes, design.loop
-    n = frame.shapes.shape[0]
-    mirror = loop.mirror
-    k, m, c = (np.zeros((n + 1, n + 1)) for _ in range(3))
-    k[:n, :n] = stiffness_matrix(structure, design.area)
-    m[:n, :n] = mass_matrix(structure, design.area, design.batten_mass, design.mirror_mass)
-    m[n, n] = mirror.inertia
-    momentum = m[:n, :n] @ frame.shapes
-    k[:n, :n] += (momentum * np.where(modes.rigid, modes.stiffness, 0.0)) @ momentum.T
-    c[:n, :n] = (momentum * modes.damping) @ momentum.T
-    across = np.append(structure.port(truth.system.mirror_port), -1.0)
-    k += mirror.stiffness * np.outer(across, across)
-    c += mirror.damping * np.outer(across, across)
-    hub = np.append(structure.port("hub"), 0.0)
+    k = stiffness_matrix(structure, design.area)
+    m = mass_matrix(structure, design.area, design.batten_mass, design.mirror_mass)
+    momentum = m @ frame.shapes
+    k = k + (momentum * np.where(modes.rigid, modes.stiffness, 0.0)) @ momentum.T
+    c = (momentum * modes.damping) @ momentum.T
+    port = truth.system.mirror_port
+    rows = {name: structure.port(name) for name in loop.ports(port)}
+    whole = coupled_matrices((m, c, k), rows, port, loop.mirror, loop.placement, loop.actuators)
+    size, n = whole.mass.shape[0], m.shape[0]
+    loads = {"mirror_torque": np.eye(size)[whole.mirror], "hub_torque": np.zeros(size)}
+    loads["hub_torque"][:n] = structure.port("hub")
     response: ComplexArray = np.zeros(frequencies.size, dtype=complex)
     for i, w in enumerate(frequencies):
         s = 1j * w
-        control = pid_response(loop.controller, s)
-        total = k + s * c + s**2 * m
-        # Control torque −K (θ_m + measured): on the mirror, reacting on the port.
-        total[:, n] -= control * across
-        torque = at in ("mirror_torque", "hub_torque")
-        load = (np.eye(n + 1)[n] if at == "mirror_torque" else hub) if torque else control * across
-        response[i] = np.linalg.solve(total, load)[n]
+        feedback = pid_response(loop.controller, s) * whole.control
+        total = whole.stiffness + s * whole.damping + s**2 * whole.mass + np.outer(feedback, whole.sensor)
+        # Whatever else is measured comes back as torque −K times it.
+        response[i] = np.linalg.solve(total, loads.get(at, -feedback))[whole.mirror]
     return response + complex(at == "line_of_sight")
 
 

@@ -10,7 +10,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from fosopt.actuators import Mirror
+from fosopt.actuators import BICOLLOCATED, Mirror, MirrorReactionMass, Placement, ReactionMassActuator
 from fosopt.control import (
     NUMERATORS,
     PID,
@@ -19,6 +19,7 @@ from fosopt.control import (
     characteristic,
     closed_loop_response,
     loop_transfer,
+    with_attachments,
 )
 from fosopt.errors import ModelError, did_you_mean
 from fosopt.ops import Array, ComplexArray, ComplexPair
@@ -37,10 +38,28 @@ LOOP_PARAMETERS = (
 )
 
 
-def loop_of(parameters: Any) -> Loop:
-    """A loop from its (8,) parameters in the order of `LOOP_PARAMETERS`."""
+@dataclass(frozen=True)
+class Layout:
+    """What of a loop is no parameter: where it acts, and what else is on the structure."""
+
+    placement: Placement = BICOLLOCATED
+    actuators: tuple[ReactionMassActuator, ...] = ()
+    reaction_mass: MirrorReactionMass | None = None
+
+
+def layout_of(loop: Loop) -> Layout:
+    """The layout of a loop."""
+    return Layout(loop.placement, loop.actuators, loop.mirror.reaction_mass)
+
+
+_MIRROR_ALONE = Layout()
+
+
+def loop_of(parameters: Any, layout: Layout = _MIRROR_ALONE) -> Loop:
+    """A loop from its (8,) parameters in the order of `LOOP_PARAMETERS`, and its layout."""
     j, w, z, gain, kp, ki, kd, time = (parameters[i] for i in range(len(LOOP_PARAMETERS)))
-    return Loop(Mirror(j, w, z), PID(gain, kp, ki, kd, time))
+    mirror = Mirror(j, w, z, layout.reaction_mass)
+    return Loop(mirror, PID(gain, kp, ki, kd, time), layout.placement, layout.actuators)
 
 
 def loop_parameters(loop: Loop) -> Array:
@@ -64,12 +83,13 @@ def _formula(response: str) -> Callable[[Loop, Any, Receptances], Any]:
 
 
 @cache
-def response_function(response: str) -> ca.Function:
+def response_function(response: str, layout: Layout = _MIRROR_ALONE) -> ca.Function:
     """A transfer function of the loop as a CasADi function.
 
-    Inputs are the (8,) `LOOP_PARAMETERS` and (6,) real and imaginary parts of s, g_hh and g_h0; the output is
-    (2,), real and imaginary part. `response` is a name in `control.NUMERATORS`, ``characteristic`` or
-    ``loop_transfer``.
+    Inputs are the (8,) `LOOP_PARAMETERS` and the real and imaginary parts of s and of the receptances of the
+    structure alone, one after another in the order of `control.Loop.pairs`: (6,) with g_rr and g_ro for a
+    bicollocated mirror alone. The output is (2,), real and imaginary part. `response` is a name in
+    `control.NUMERATORS`, ``characteristic`` or ``loop_transfer``.
 
     Raises
     ------
@@ -77,9 +97,11 @@ def response_function(response: str) -> ca.Function:
         For an unknown name.
     """
     p = ca.SX.sym("p", len(LOOP_PARAMETERS))
-    z = ca.SX.sym("z", 6)
-    g = Receptances(ComplexPair(z[2], z[3]), ComplexPair(z[4], z[5]))
-    value = _formula(response)(loop_of(p), ComplexPair(z[0], z[1]), g)
+    loop = loop_of(p, layout)
+    z = ca.SX.sym("z", 2 + 2 * len(loop.pairs))
+    s, *pairs = (ComplexPair(z[i], z[i + 1]) for i in range(0, z.numel(), 2))
+    g = with_attachments(loop, s, Receptances(pairs[0], pairs[1], tuple(pairs[2:])))
+    value = _formula(response)(loop, s, g)
     return ca.Function(
         response,
         [p, z],
@@ -90,12 +112,12 @@ def response_function(response: str) -> ca.Function:
 
 
 @lru_cache(maxsize=64)
-def _partials(response: str, count: int) -> ca.Function:
-    f = response_function(response)
-    p, z = ca.SX.sym("p", f.size1_in(0)), ca.SX.sym("z", 6)
+def _partials(response: str, layout: Layout, count: int) -> ca.Function:
+    f = response_function(response, layout)
+    p, z = ca.SX.sym("p", f.size1_in(0)), ca.SX.sym("z", f.size1_in(1))
     value = f(p, z)
     # The response is analytic in g, so its derivative is that along the real axis.
-    by_g = ca.jacobian(value, z)[:, [2, 4]]
+    by_g = ca.jacobian(value, z)[:, list(range(2, z.numel(), 2))]
     everything = ca.densify(ca.horzcat(by_g, ca.jacobian(value, p)))
     single = ca.Function(f"{response}_partials", [p, z], [everything])
     return single.map(f"{response}_partials_{count}", "serial", count, [0], [])
@@ -107,23 +129,29 @@ class ResponsePartials:
 
     Attributes
     ----------
-    direct, cross
-        (m,) for g_hh and g_h0.
+    receptances
+        (q, m) for those of the structure alone, in the order of `control.Loop.pairs`.
     parameters
         (8, m) for the `LOOP_PARAMETERS`.
     """
 
-    direct: ComplexArray
-    cross: ComplexArray
+    receptances: ComplexArray
     parameters: ComplexArray
 
 
-def response_partials(response: str, loop: Loop, s: ComplexArray, g: Receptances) -> ResponsePartials:
-    """Partial derivatives of a transfer function of the loop at (m,) points, exact."""
-    point = np.stack([s, g.direct, g.cross], axis=1).astype(complex, copy=False).view(float)
-    (flat,) = _call(_partials(response, s.size), loop_parameters(loop), point)
+def response_partials(response: str, loop: Loop, s: ComplexArray, bare: Receptances) -> ResponsePartials:
+    """Partial derivatives of a transfer function of the loop at (m,) points, exact.
+
+    Parameters
+    ----------
+    bare
+        Receptances of the structure alone.
+    """
+    point = np.stack([s, *bare.values], axis=1).astype(complex, copy=False).view(float)
+    (flat,) = _call(_partials(response, layout_of(loop), s.size), loop_parameters(loop), point)
     both = flat.view(complex).reshape(s.size, -1).T
-    return ResponsePartials(both[0], both[1], both[2:])
+    count = len(bare.values)
+    return ResponsePartials(both[:count], both[count:])
 
 
 def _call(function: ca.Function, *arguments: Array) -> list[Array]:

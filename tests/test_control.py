@@ -143,7 +143,7 @@ def test_zeros_of_the_plant_are_the_poles_of_the_uncoupled_structure(hub):
     unit[:n, :n] = np.eye(n)
     zeros = linalg.eigvals(pencil, unit)
     zeros = zeros[np.isfinite(zeros) & (np.abs(zeros) < 1e6)]
-    open_loop = open_loop_poles(modes, "tip")
+    open_loop = open_loop_poles(loop, modes, "tip")
     expected = np.concatenate([open_loop.first, open_loop.second])
     elastic, found = expected[np.abs(expected) > 1e-3], zeros[np.abs(zeros) > 1e-3]
     assert reference.worst_match(found, elastic) < 1e-6  # the pencil is not scaled
@@ -248,7 +248,7 @@ def test_the_sum_of_all_poles_is_the_trace_of_the_state_matrix(pid):
 def test_every_pole_is_a_zero_of_the_characteristic_function():
     loop, modes = truss_loop(0.2)
     poles = closed_loop_poles(loop, modes, "tip")
-    g, _ = poles.receptances()
+    g = Receptances(*(pair.value for pair in poles.receptances().values[:2]))
     # Rounding of Δ itself, amplified by the ratio of the pole to its shift in κ g.
     assert pole_condition(loop, poles.value, g).max() < 1e-9
     away = poles.value * 1.001
@@ -258,15 +258,15 @@ def test_every_pole_is_a_zero_of_the_characteristic_function():
 def test_receptances_and_slopes_at_poles_are_those_of_the_modal_sum():
     loop, modes = truss_loop(2.0, keep=slice(0, 7))
     poles = closed_loop_poles(loop, modes, "tip")
-    g, slope = poles.receptances()
+    g = poles.receptances()
     s = poles.value
     step = 1e-4 * np.abs(poles.shift)
     expected = receptances(modes, s)
     up, down = receptances(modes, s + step), receptances(modes, s - step)
     for part in ("direct", "cross"):
-        assert np.abs(getattr(g, part) / getattr(expected, part) - 1).max() < 1e-8
+        assert np.abs(getattr(g, part).value / getattr(expected, part) - 1).max() < 1e-8
         difference = (getattr(up, part) - getattr(down, part)) / (2 * step)
-        assert np.abs(getattr(slope, part) / difference - 1).max() < 1e-5
+        assert np.abs(getattr(g, part).slope / difference - 1).max() < 1e-5
 
 
 @pytest.mark.parametrize("shape", [1e-3, 1e-6, 1e-9])
@@ -322,10 +322,10 @@ def test_poles_are_found_where_two_structural_frequencies_coincide():
         poles = closed_loop_poles(loop, twins, "tip")
         assert reference.worst_match(poles.all, dense_poles(loop, twins)) < 1e-6
     # At gap zero the two act as one mode, with the receptances of their sum.
-    g, _ = poles.receptances()
+    g = poles.receptances()
     expected = receptances(twins, poles.value)
-    assert np.abs(g.direct / expected.direct - 1).max() < 1e-6
-    assert np.abs(g.cross / expected.cross - 1).max() < 1e-6
+    assert np.abs(g.direct.value / expected.direct - 1).max() < 1e-6
+    assert np.abs(g.cross.value / expected.cross - 1).max() < 1e-6
 
 
 def test_jitter_is_smooth_as_two_structural_frequencies_meet():

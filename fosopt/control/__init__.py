@@ -1,5 +1,6 @@
 """The line-of-sight controller, the loop it closes, and the poles of that loop."""
 
+from fosopt.actuators import Placement
 from fosopt.control.loop import (
     NUMERATORS,
     Loop,
@@ -9,9 +10,12 @@ from fosopt.control.loop import (
     coupling,
     loop_transfer,
     plant_impedance,
+    port_pairs,
+    with_attachments,
 )
+from fosopt.control.open_loop import OpenLoopPoles, open_loop_poles
 from fosopt.control.pid import PID, gain_for_crossover, pid_response
-from fosopt.control.poles import ClosedLoopPoles, closed_loop_poles, open_loop_poles
+from fosopt.control.poles import ClosedLoopPoles, closed_loop_poles
 from fosopt.control.state_space import StateSpace, closed_loop_state_space, plant_state_space
 
 __all__ = [
@@ -19,6 +23,8 @@ __all__ = [
     "PID",
     "ClosedLoopPoles",
     "Loop",
+    "OpenLoopPoles",
+    "Placement",
     "Receptances",
     "StateSpace",
     "characteristic",
@@ -32,4 +38,6 @@ __all__ = [
     "pid_response",
     "plant_impedance",
     "plant_state_space",
+    "port_pairs",
+    "with_attachments",
 ]

@@ -1,47 +1,138 @@
 """The line-of-sight loop in closed form.
 
-A mirror that reacts on one port of a structure sees it through two receptances only: g_hh from reaction torque
-to reference angle, and g_h0 from hub torque to reference angle. With the coupling κ = c_m s + k_m the cross
-terms of a bicollocated mirror cancel, and all transfer functions of the closed loop share one denominator
+A mirror on a spring sees its structure through a few receptances: g_rr at the port its spring refers to, g_ro from
+the hub, and those of the ports where the loop reacts, acts or senses when these differ. With the coupling
+κ = c_m s + k_m and Z = J_m s² (1 + κ g_rr) + κ, all transfer functions of the closed loop share one denominator
 
-    Δ(s) = J_m s² (1 + κ g_hh) + κ + K.
+    Δ(s) = Z + P K,
 
-Every formula is a rational function of `s`, the receptances and the parameters: it runs on NumPy arrays and on
-`ops.ComplexPair`.
+P/Z being the plant from control torque to sensor. For a bicollocated mirror P is one: the cross terms cancel.
+
+Every formula is a rational function of `s`, the receptances and the parameters: it runs on NumPy arrays, on
+`ops.ComplexPair` and on `ops.Dual`.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from functools import cache
+from math import isqrt
 from typing import Any
 
-from fosopt.actuators import Mirror
+from fosopt.actuators import BICOLLOCATED, Mirror, Placement, ReactionMassActuator, Suspended
 from fosopt.control.pid import PID, pid_response
+
+_REFERENCE, _HUB = 0, 1
 
 
 @dataclass(frozen=True)
 class Loop:
-    """A mirror and its controller."""
+    """A mirror, its controller, where they act, and the reaction-mass actuators beside them."""
 
     mirror: Mirror
     controller: PID
+    placement: Placement = BICOLLOCATED
+    actuators: tuple[ReactionMassActuator, ...] = ()
+
+    @property
+    def other_ports(self) -> tuple[str, ...]:
+        """Ports beside the mirror's own and the hub."""
+        place = self.placement
+        named = (place.reaction, place.sensor, place.action, *(a.port for a in self.actuators))
+        return tuple(dict.fromkeys(p for p in named if p not in (None, "hub")))
+
+    def ports(self, mirror_port: str) -> tuple[str, ...]:
+        """Ports in the order in which `Receptances` counts them: the mirror's, the hub, the others."""
+        return (mirror_port, "hub", *self.other_ports)
+
+    def index(self, port: str | None) -> int:
+        """Place of a port in that order; None is the mirror's."""
+        if port is None:
+            return _REFERENCE
+        return _HUB if port == "hub" else 2 + self.other_ports.index(port)
+
+    @property
+    def pairs(self) -> tuple[tuple[int, int], ...]:
+        """Pairs of ports whose receptances the formulas use."""
+        place = self.placement
+        simple = not self.other_ports and "hub" not in (place.sensor, place.action)
+        return ((0, 0), (0, 1)) if simple else port_pairs(2 + len(self.other_ports))
+
+    @property
+    def attachments(self) -> Iterator[tuple[int, Suspended]]:
+        """What hangs on the structure beside the mirror, with the index of its port."""
+        if self.mirror.counter is not None:
+            yield _REFERENCE, self.mirror.counter
+        for actuator in self.actuators:
+            yield self.index(actuator.port), actuator.suspended
+
+    @property
+    def bare(self) -> bool:
+        """Whether nothing but the mirror is attached to the structure."""
+        return self.mirror.reaction_mass is None and not self.actuators
+
+
+@cache
+def port_pairs(count: int) -> tuple[tuple[int, int], ...]:
+    """Every pair of `count` ports, those of mirror and hub first."""
+    every = [(a, b) for a in range(count) for b in range(a, count)]
+    return ((0, 0), (0, 1), *(pair for pair in every if pair not in ((0, 0), (0, 1))))
+
+
+@cache
+def _places(count: int) -> dict[tuple[int, int], int]:
+    return {pair: k for k, pair in enumerate(port_pairs(count))}
 
 
 @dataclass(frozen=True)
 class Receptances:
-    """What the mirror sees of its structure at one Laplace variable, [rad/(N m)].
+    """What the loop sees of its structure at one Laplace variable, [rad/(N m)].
 
     Attributes
     ----------
     direct
-        g_hh, mirror port to itself.
+        g_rr, mirror port to itself.
     cross
-        g_h0, hub to mirror port.
+        g_ro, hub to mirror port.
+    others
+        The remaining pairs in the order of `port_pairs`; empty for a bicollocated mirror alone.
     """
 
     direct: Any
     cross: Any
+    others: tuple[Any, ...] = ()
+
+    @property
+    def values(self) -> tuple[Any, ...]:
+        """All of them, in the order of `port_pairs`."""
+        return (self.direct, self.cross, *self.others)
+
+    def between(self, port: int, other: int) -> Any:
+        """Receptance between two ports by their index."""
+        if not self.others:
+            return self.direct if port == other else self.cross
+        count = (isqrt(8 * (2 + len(self.others)) + 1) - 1) // 2
+        return self.values[_places(count)[min(port, other), max(port, other)]]
+
+
+def with_attachments(loop: Loop, s: Any, g: Receptances) -> Receptances:
+    """Receptances of the structure with everything on it but the mirror.
+
+    Each attachment of dynamic stiffness D at port a is one rank-one update, g_pq − g_pa g_aq D/(1 + D g_aa).
+    [Barker1991] Eqs. (2.38), (2.47); [Sherman1950]
+    """
+    for a, body in loop.attachments:
+        stiffness = body.dynamic_stiffness(s)
+        held = 1 + stiffness * g.between(a, a)
+        values = []
+        for p, q in loop.pairs:
+            if a in (p, q):  # the same quotient without its cancellation
+                values.append(g.between(p, q) / held)
+            else:
+                values.append(g.between(p, q) - g.between(p, a) * g.between(a, q) * stiffness / held)
+        g = Receptances(values[0], values[1], tuple(values[2:]))
+    return g
 
 
 def coupling(loop: Loop, s: Any) -> Any:
@@ -50,44 +141,111 @@ def coupling(loop: Loop, s: Any) -> Any:
 
 
 def plant_impedance(loop: Loop, s: Any, g: Receptances) -> Any:
-    """Torque per mirror angle of the coupled plant, 1/G(s).    [Barker1991] Eq. (4.18)"""
+    """Z(s) = J_m s² (1 + κ g_rr) + κ: torque per angle of the mirror, times 1 + κ g_rr [N m/rad].
+
+    Its zeros are the poles of the coupled plant.    [Barker1991] Eq. (4.18)
+    """
     kappa = coupling(loop, s)
     return loop.mirror.inertia * s**2 * (1 + kappa * g.direct) + kappa
 
 
+def _leakage(loop: Loop, s: Any, g: Receptances, port: int) -> Any:
+    """Motion of a port per control torque through the reaction mass of a reactionless mirror and its drive."""
+    shares, counter = loop.mirror.reaction_mass, loop.mirror.counter
+    if shares is None or counter is None:
+        return 0.0
+    through = counter.transmission(s) * g.between(port, _REFERENCE)
+    return shares.torque_ratio * (g.between(port, loop.index(loop.placement.reaction)) - through)
+
+
+def _reach(loop: Loop, s: Any, g: Receptances, port: int) -> Any:
+    """Motion of a port per control torque, as if a torque on the mirror acted on the mirror's port."""
+    acting, reacting = loop.index(loop.placement.action), loop.index(loop.placement.reaction)
+    leakage = _leakage(loop, s, g, port)
+    if acting == reacting:
+        return leakage
+    return g.between(port, acting) - g.between(port, reacting) + leakage
+
+
+def _structure_reach(loop: Loop, s: Any, g: Receptances, port: int) -> Any:
+    """Motion of a port of the structure without mirror per control torque on it."""
+    place = loop.placement
+    reach = _leakage(loop, s, g, port) - g.between(port, loop.index(place.reaction))
+    return reach if place.action is None else reach + g.between(port, loop.index(place.action))
+
+
+def mirror_gain(loop: Loop, s: Any, g: Receptances) -> Any:
+    """Mirror angle per control torque times Z; one for a bicollocated mirror.    [Barker1991] Eq. (4.22)"""
+    acting = 0.0 if loop.placement.action else 1.0
+    return acting + coupling(loop, s) * _reach(loop, s, g, _REFERENCE)
+
+
+def sensor_gain(loop: Loop, s: Any, g: Receptances) -> Any:
+    """P: sensed angle per control torque times Z.    [Barker1991] Eqs. (3.6), (4.22)"""
+    if loop.placement.sensor is None:
+        return mirror_gain(loop, s, g)
+    kappa, inertial = coupling(loop, s), loop.mirror.inertia * s**2
+    j = loop.index(loop.placement.sensor)
+    g_j = g.between(j, _REFERENCE)
+    here, there = _structure_reach(loop, s, g, _REFERENCE), _structure_reach(loop, s, g, j)
+    gain = (inertial + kappa) * there + kappa * inertial * (g.direct * there - g_j * here)
+    return gain if loop.placement.action else gain + kappa * g_j
+
+
 def characteristic(loop: Loop, s: Any, g: Receptances) -> Any:
     """Δ(s), whose zeros are the closed-loop poles [N m/rad].    [Barker1991] Eq. (4.29)"""
-    return plant_impedance(loop, s, g) + pid_response(loop.controller, s)
+    return plant_impedance(loop, s, g) + sensor_gain(loop, s, g) * pid_response(loop.controller, s)
 
 
 def loop_transfer(loop: Loop, s: Any, g: Receptances) -> Any:
     """L(s) = G(s) K(s) [-]."""
-    return pid_response(loop.controller, s) / plant_impedance(loop, s, g)
+    return sensor_gain(loop, s, g) * pid_response(loop.controller, s) / plant_impedance(loop, s, g)
 
 
 def command_numerator(loop: Loop, s: Any, g: Receptances) -> Any:
-    """K: mirror angle per commanded angle times Δ.    [Barker1991] Eq. (4.28)"""
-    return pid_response(loop.controller, s)
+    """Mirror angle per commanded angle times Δ.    [Barker1991] Eq. (4.28)"""
+    return mirror_gain(loop, s, g) * pid_response(loop.controller, s)
 
 
 def line_of_sight_numerator(loop: Loop, s: Any, g: Receptances) -> Any:
-    """1/G: line-of-sight error per line-of-sight displacement times Δ."""
-    return plant_impedance(loop, s, g)
+    """Line-of-sight error per line-of-sight displacement times Δ."""
+    impedance = plant_impedance(loop, s, g)
+    if loop.placement.sensor is None:
+        return impedance
+    unseen = sensor_gain(loop, s, g) - mirror_gain(loop, s, g)
+    return impedance + unseen * pid_response(loop.controller, s)
 
 
 def sensor_noise_numerator(loop: Loop, s: Any, g: Receptances) -> Any:
-    """−K: mirror angle per measurement noise times Δ."""
-    return -pid_response(loop.controller, s)
+    """Mirror angle per measurement noise times Δ."""
+    return -command_numerator(loop, s, g)
 
 
 def mirror_torque_numerator(loop: Loop, s: Any, g: Receptances) -> Any:
-    """1 + κ g_hh: mirror angle per external torque on the mirror times Δ."""
-    return 1 + coupling(loop, s) * g.direct
+    """Mirror angle per external torque on the mirror times Δ; 1 + κ g_rr where the sensor is on the mirror."""
+    kappa = coupling(loop, s)
+    numerator = 1 + kappa * g.direct
+    if loop.placement.sensor is None:
+        return numerator
+    j = loop.index(loop.placement.sensor)
+    here, there = _structure_reach(loop, s, g, _REFERENCE), _structure_reach(loop, s, g, j)
+    unsensed = there + kappa * (g.direct * there - g.between(j, _REFERENCE) * here)
+    return numerator + unsensed * pid_response(loop.controller, s)
 
 
 def hub_torque_numerator(loop: Loop, s: Any, g: Receptances) -> Any:
-    """κ g_h0: mirror angle per torque on the hub (aft-to-fore body) times Δ."""
-    return coupling(loop, s) * g.cross
+    """Mirror angle per torque on the hub (aft-to-fore body) times Δ; κ g_ro where the sensor is on the mirror."""
+    kappa = coupling(loop, s)
+    numerator = kappa * g.cross
+    if loop.placement.sensor is None:
+        return numerator
+    j = loop.index(loop.placement.sensor)
+    g_j, g_jo = g.between(j, _REFERENCE), g.between(j, _HUB)
+    here, there = _structure_reach(loop, s, g, _REFERENCE), _structure_reach(loop, s, g, j)
+    unsensed = kappa * (g.cross * there - g_jo * here)
+    if loop.placement.action is None:
+        unsensed = unsensed - g_jo - kappa * (g.direct * g_jo - g_j * g.cross)
+    return numerator + unsensed * pid_response(loop.controller, s)
 
 
 Formula = Callable[[Loop, Any, Receptances], Any]

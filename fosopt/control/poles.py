@@ -14,7 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import linalg
 
-from fosopt.control.loop import Loop, Receptances, characteristic, coupling, plant_impedance
+from fosopt.control.loop import Loop, Receptances, characteristic, plant_impedance
+from fosopt.control.open_loop import OpenLoopPoles, open_loop_poles
 from fosopt.control.pid import pid_response
 from fosopt.control.state_space import closed_loop_state_space
 from fosopt.errors import SolverError
@@ -24,47 +25,6 @@ from fosopt.ops import Array, ComplexArray, Dual
 _MAX_ITERATIONS = 60
 _CONVERGED = 1e-9  # relative step of a shift; convergence is at least quadratic, so it leaves nothing
 _TRACE = 1e-8
-_SAME = 1e-13
-
-
-@dataclass(frozen=True)
-class OpenLoopPoles:
-    """Poles of the modes a mirror can move, and their shapes at the mirror port and the hub.
-
-    Attributes
-    ----------
-    first, second
-        (n,) the two poles of each mode; conjugate, or both real [rad/s].
-    mirror_shape, hub_shape
-        (n,) mode shapes.
-    uncoupled
-        Poles of modes with a node at the mirror port: the loop neither moves nor sees them.
-    drifting
-        Whether a free rigid-body mode is present; its double pole at zero stays where it is, because internal
-        torque cannot move it.
-    """
-
-    first: ComplexArray
-    second: ComplexArray
-    mirror_shape: Array
-    hub_shape: Array
-    uncoupled: ComplexArray
-    drifting: bool
-
-    def factors(self, base: ComplexArray, shift: ComplexArray) -> tuple[ComplexArray, ComplexArray]:
-        """1/D_k and D_k′/D_k of each mode's D_k = (s − p_k)(s − p̄_k) at s = base + shift.
-
-        Exact as the shift goes to zero.
-
-        Returns
-        -------
-        (m, n), (m, n)
-            One row per point.
-        """
-        to_first = (base[:, None] - self.first) + shift[:, None]
-        to_second = (base[:, None] - self.second) + shift[:, None]
-        inverse = 1.0 / (to_first * to_second)
-        return inverse, (to_first + to_second) * inverse
 
 
 @dataclass(frozen=True)
@@ -106,49 +66,9 @@ class ClosedLoopPoles:
         uncoupled = self.open_loop.uncoupled
         return float(max(self.value.real.max(), uncoupled.real.max() if uncoupled.size else -np.inf))
 
-    def receptances(self) -> tuple[Receptances, Receptances]:
-        """Receptances at the poles, and their derivatives in `s`."""
-        open_loop = self.open_loop
-        inverse, logarithmic = open_loop.factors(self.base, self.shift)
-        h, o = open_loop.mirror_shape, open_loop.hub_shape
-        slope = -inverse * logarithmic
-        return Receptances(inverse @ h**2, inverse @ (h * o)), Receptances(slope @ h**2, slope @ (h * o))
-
-
-def open_loop_poles(modes: ModalSet, mirror_port: str) -> OpenLoopPoles:
-    """Open-loop poles of a modal set, split by whether the mirror can move them."""
-    stiffness, half = modes.stiffness, 0.5 * modes.damping
-    root = np.sqrt((half**2 - stiffness).astype(complex))
-    first, second = -half + root, -half - root
-    h, o = _combined(modes, mirror_port)
-    seen = h != 0.0
-    hidden = ~seen & (stiffness > 0)
-    return OpenLoopPoles(
-        first[seen],
-        second[seen],
-        h[seen],
-        o[seen],
-        np.concatenate([first[hidden], second[hidden]]),
-        drifting=bool(np.any(stiffness == 0)),
-    )
-
-
-def _combined(modes: ModalSet, mirror_port: str) -> tuple[Array, Array]:
-    """Mode shapes at mirror port and hub, with modes of one and the same pole combined into one.
-
-    Modes that share frequency and damping act as one with h² = Σ h_k²; what is left of them the mirror cannot move.
-    """
-    h, o = modes.at(mirror_port).copy(), modes.at("hub").copy()
-    order = np.argsort(modes.stiffness, kind="stable")
-    stiffness, damping = modes.stiffness[order], modes.damping[order]
-    same = (np.diff(stiffness) <= _SAME * stiffness[1:]) & (np.abs(np.diff(damping)) <= _SAME * damping[1:])
-    for i in np.flatnonzero(same & (stiffness[1:] > 0)):
-        lower, upper = order[i], order[i + 1]
-        size = np.hypot(h[lower], h[upper])
-        if size > 0:
-            o[upper] = (h[lower] * o[lower] + h[upper] * o[upper]) / size
-            h[lower], h[upper] = 0.0, size
-    return h, o
+    def receptances(self) -> Receptances:
+        """Receptances of the structure with its attachments at the poles, with their derivatives in `s`."""
+        return self.open_loop.receptances(self.base, self.shift)
 
 
 def closed_loop_poles(loop: Loop, modes: ModalSet, mirror_port: str) -> ClosedLoopPoles:
@@ -159,7 +79,7 @@ def closed_loop_poles(loop: Loop, modes: ModalSet, mirror_port: str) -> ClosedLo
     SolverError
         If neither Aberth's method nor the dense eigenvalue solver gives a complete set of poles.
     """
-    open_loop = open_loop_poles(modes, mirror_port)
+    open_loop = open_loop_poles(loop, modes, mirror_port)
     base, shift, multiplicity = _start(loop, open_loop)
     found = _aberth(loop, open_loop, base, shift, multiplicity)
     if found is None or not _complete(loop, open_loop, found):
@@ -208,13 +128,14 @@ def _start(loop: Loop, open_loop: OpenLoopPoles) -> tuple[ComplexArray, ComplexA
     # First-order shift of a structural pole: Δ without its own mode, which is singular there, over the rest.
     own = np.concatenate([np.flatnonzero(pair), np.flatnonzero(real), np.flatnonzero(real)])
     shift = np.zeros_like(base)
-    s = structural[:, None]
-    factors = (s - open_loop.first) * (s - open_loop.second)
-    factors[np.arange(own.size), own] = np.inf
-    rest = (open_loop.mirror_shape**2 / factors).sum(axis=1)
-    delta = characteristic(loop, structural, Receptances(rest, 0.0))
+    factors = open_loop.factors(structural, np.zeros_like(structural), without=own)
+    rest = open_loop.summed(*factors, structural).values
+    numerator = open_loop.numerators(structural, own)
+    pairs = [Dual(r.value, numerator[:, k]) for k, r in enumerate(rest)]
+    g = Receptances(pairs[0], pairs[1], tuple(pairs[2:]))
+    delta = characteristic(loop, Dual(structural, 0.0), g)
+    push, delta = delta.slope, delta.value
     other = np.where(structural == open_loop.first[own], open_loop.second[own], open_loop.first[own])
-    push = loop.mirror.inertia * structural**2 * coupling(loop, structural) * open_loop.mirror_shape[own] ** 2
     gap = structural - other
     # Two poles in one place (critical damping) part as the square root of the push.
     apart = np.where(gap == 0, np.sqrt((-push / delta).astype(complex)), gap)
@@ -233,7 +154,7 @@ def _aberth(
     multiplicity: NDArray[np.intp],
 ) -> ClosedLoopPoles | None:
     pid = loop.controller
-    direct, moving = open_loop.mirror_shape**2, (open_loop.first != 0).astype(float)
+    moving = (open_loop.first != 0).astype(float)
     pair = multiplicity == 2
     mirrored, shift = base[pair].conj(), shift.copy()
     rows = np.arange(base.size)  # poles that still move
@@ -242,8 +163,7 @@ def _aberth(
             b, d = base[rows], shift[rows]
             s = b + d
             inverse, logarithmic = open_loop.factors(b, d)
-            g = Dual(inverse @ direct, -(inverse * logarithmic) @ direct)
-            delta = characteristic(loop, Dual(s, 1.0), Receptances(g, 0.0))
+            delta = characteristic(loop, Dual(s, 1.0), open_loop.summed(inverse, logarithmic, s))
             known = logarithmic @ moving
             if pid.ki:
                 known = known + 1 / s
@@ -268,24 +188,37 @@ def _aberth(
 
 def _complete(loop: Loop, open_loop: OpenLoopPoles, poles: ClosedLoopPoles) -> bool:
     """Whether the poles add up to the trace of the closed loop, which a missing or doubled pole would break."""
-    mirror, pid = loop.mirror, loop.controller
+    pid = loop.controller
     value, weight = poles.value, poles.multiplicity
     if np.any(value[weight == 2].imag <= 0):
         return False
-    modal = (
-        -(open_loop.first + open_loop.second).real.sum() + mirror.damping * (open_loop.mirror_shape**2).sum()
-    )
-    modal += mirror.damping / mirror.inertia
     low_pass = pid.rolloff_time > 0 and pid.kd != 0
-    trace = modal + (1 / pid.rolloff_time if low_pass else pid.gain * pid.kd / mirror.inertia)
+    trace = _plant_trace(loop, open_loop)
+    trace += 1 / pid.rolloff_time if low_pass else pid.gain * pid.kd * _mobility(loop, open_loop)
     found = -(weight * value.real).sum()
     count = 2 * int((open_loop.first != 0).sum()) + 2 + (pid.ki != 0) + low_pass
     return int(weight.sum()) == count and abs(found - trace) <= _TRACE * np.abs(value).sum()
 
 
+def _plant_trace(loop: Loop, open_loop: OpenLoopPoles) -> float:
+    """Sum of the plant's poles, negative: what its dampers make of it."""
+    free = open_loop.mobility.direct + 1 / loop.mirror.inertia
+    return float(-(open_loop.first + open_loop.second).real.sum() + loop.mirror.damping * free)
+
+
+def _mobility(loop: Loop, open_loop: OpenLoopPoles) -> float:
+    """Acceleration of what is sensed per control torque, at once: lim s² G(s) [1/(kg m²)]."""
+    place, shares = loop.placement, loop.mirror.reaction_mass
+    if place.sensor is None:
+        return 1 / loop.mirror.inertia if place.action is None else 0.0
+    free, j = open_loop.mobility, loop.index(place.sensor)
+    reacting = free.between(j, loop.index(place.reaction)) * (1 - (shares.torque_ratio if shares else 0.0))
+    return float((free.between(j, loop.index(place.action)) if place.action else 0.0) - reacting)
+
+
 def _dense(loop: Loop, modes: ModalSet, mirror_port: str, open_loop: OpenLoopPoles) -> ClosedLoopPoles:
     """Poles from the dense state matrix, polished one by one; for loops on which Aberth's method stalls."""
-    seen = modes.keep(np.flatnonzero(modes.at(mirror_port) != 0.0))
+    seen = modes.keep(np.flatnonzero(open_loop.seen))
     eigenvalue = linalg.eigvals(closed_loop_state_space(loop, seen, mirror_port).a)
     if open_loop.drifting:
         eigenvalue = eigenvalue[np.argsort(np.abs(eigenvalue))[2:]]
@@ -300,7 +233,9 @@ def _dense(loop: Loop, modes: ModalSet, mirror_port: str, open_loop: OpenLoopPol
         base = np.where(close, nearest, kept)
     shift = kept - base
     polished = _aberth(loop, open_loop, base, np.where(shift == 0, 1e-14 * np.abs(base), shift), multiplicity)
-    return polished or ClosedLoopPoles(base, shift, multiplicity, open_loop)
+    if polished is not None and _complete(loop, open_loop, polished):
+        return polished
+    return ClosedLoopPoles(base, shift, multiplicity, open_loop)
 
 
 def pole_condition(loop: Loop, s: ComplexArray, g: Receptances) -> Array:

@@ -1,19 +1,23 @@
-"""State-space form of the closed loop, for time simulation, export and independent checks.
+"""State-space form of plant and closed loop, for time simulation, export and independent checks.
 
     ẋ = A x + B u,   y = C x + D u
 
-with x = [modal coordinates q, velocities q̇, mirror angle θ_m, rate, integral of the error, derivative filter].
+with x = [coordinates q, velocities q̇, integral of the error, derivative filter] and q = [modal coordinates,
+mirror angle, mirror reaction mass, proof masses].
 """
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
 
 from fosopt.control.loop import Loop
+from fosopt.errors import ModelError, did_you_mean
 from fosopt.modes import ModalSet
-from fosopt.ops import Array
+from fosopt.ops import Array, ComplexArray
+from fosopt.plant import CoupledMatrices, coupled_matrices
 
 INPUTS = ("mirror_torque", "hub_torque", "line_of_sight", "sensor_noise", "command")
 OUTPUTS = ("mirror_angle", "line_of_sight")
@@ -38,41 +42,68 @@ class StateSpace:
     inputs: tuple[str, ...]
     outputs: tuple[str, ...]
 
+    def response(self, s: ComplexArray, input_name: str, output_name: str) -> ComplexArray:
+        """(m,) C (sI − A)⁻¹ B + D from one input to one output at (m,) Laplace variables.
+
+        Raises
+        ------
+        ModelError
+            For an unknown name.
+        """
+        for name, known in ((input_name, self.inputs), (output_name, self.outputs)):
+            if name not in known:
+                raise ModelError(f"signal '{name}' does not exist; {did_you_mean(name, known)}")
+        column, row = self.inputs.index(input_name), self.outputs.index(output_name)
+        identity = np.eye(self.a.shape[0])
+        moved = [np.linalg.solve(point * identity - self.a, self.b[:, column]) for point in s]
+        return np.array(moved).reshape(s.size, -1) @ self.c[row] + self.d[row, column]
+
+
+def modal_matrices(loop: Loop, modes: ModalSet, mirror_port: str) -> CoupledMatrices:
+    """Mirror and actuators of a loop attached to a modal set, in its modal coordinates."""
+    structure = (np.eye(modes.natural_frequency.size), np.diag(modes.damping), np.diag(modes.stiffness))
+    rows = {port: modes.at(port) for port in loop.ports(mirror_port)}
+    return coupled_matrices(structure, rows, mirror_port, loop.mirror, loop.placement, loop.actuators)
+
 
 def plant_state_space(loop: Loop, modes: ModalSet, mirror_port: str) -> StateSpace:
-    """Structure and mirror without the controller.    [Barker1991] Eqs. (2.51)-(2.54)
+    """Structure, mirror and actuators without the controller.    [Barker1991] Eqs. (2.51)-(2.54)
 
-    Inputs are the control torque (on the mirror, reacting on the port), an external torque on the mirror and a
-    torque on the hub [N m]; outputs are mirror angle [rad] and rate [rad/s].
+    Inputs are the control torque, an external torque on the mirror, a torque on the hub [N m] and the interaction
+    force of each reaction-mass actuator [N]. Outputs are mirror angle [rad] and rate [rad/s], the sensed angle and
+    rate, the angle of the mirror's reaction mass if it has one, and the relative velocity of each proof mass [m/s].
     """
-    n = modes.natural_frequency.size
-    mirror = loop.mirror
-    q, v = slice(0, n), slice(n, 2 * n)
-    theta, rate = 2 * n, 2 * n + 1
-    h = modes.at(mirror_port)
-    a = np.zeros((2 * n + 2, 2 * n + 2))
-    a[q, v] = np.eye(n)
-    a[v, q] = -np.diag(modes.stiffness)
-    a[v, v] = -np.diag(modes.damping)
-    a[theta, rate] = 1.0
-    for factor, position, speed in ((mirror.stiffness, q, theta), (mirror.damping, v, rate)):
-        a[v, position] -= factor * np.outer(h, h)
-        a[v, speed] += factor * h
-        a[rate, position] += factor * h / mirror.inertia
-        a[rate, speed] -= factor / mirror.inertia
-    b = np.zeros((2 * n + 2, 3))
-    b[v, 0], b[rate, 0] = -h, 1 / mirror.inertia
-    b[rate, 1] = 1 / mirror.inertia
-    b[v, 2] = modes.at("hub")
-    c = np.zeros((2, 2 * n + 2))
-    c[0, theta] = c[1, rate] = 1.0
+    coupled = modal_matrices(loop, modes, mirror_port)
+    size, n = coupled.mass.shape[0], modes.natural_frequency.size
+    a = np.zeros((2 * size, 2 * size))
+    a[:size, size:] = np.eye(size)
+    inertia = np.diag(coupled.mass)[:, None]
+    a[size:, :size], a[size:, size:] = -coupled.stiffness / inertia, -coupled.damping / inertia
+
+    on_mirror, on_hub = np.eye(size)[n], np.zeros(size)
+    on_hub[:n] = modes.at("hub")
+    loads = {"control_torque": coupled.control, "mirror_torque": on_mirror, "hub_torque": on_hub}
+    forces = {f"actuator_force_{k + 1}": row for k, row in enumerate(coupled.relative)}
+    b = np.zeros((2 * size, len(loads) + len(forces)))
+    b[size:] = np.column_stack([*loads.values(), *forces.values()]) / inertia
+    none = np.zeros(size)
+    outputs = {
+        "mirror_angle": np.append(on_mirror, none),
+        "mirror_rate": np.append(none, on_mirror),
+        "sensor_angle": np.append(coupled.sensor, none),
+        "sensor_rate": np.append(none, coupled.sensor),
+    }
+    if coupled.counter is not None:
+        outputs["reaction_mass_angle"] = np.append(np.eye(size)[coupled.counter], none)
+    for k, row in enumerate(coupled.relative):
+        outputs[f"actuator_rate_{k + 1}"] = np.append(none, row)
     return StateSpace(
         a,
         b,
-        c,
-        np.zeros((2, 3)),
-        ("control_torque", "mirror_torque", "hub_torque"),
-        ("mirror_angle", "mirror_rate"),
+        np.array(list(outputs.values())),
+        np.zeros((len(outputs), b.shape[1])),
+        (*loads, *forces),
+        tuple(outputs),
     )
 
 
@@ -89,10 +120,13 @@ def closed_loop_state_space(loop: Loop, modes: ModalSet, mirror_port: str) -> St
     integrating = pid.ki != 0
     size = n + integrating + filtered
     xi, w = n, n + integrating
-    torque = np.zeros(size)
-    torque[:n] = pid.gain * plant.b[:, 0]
-    angle, rate = np.zeros(size), np.zeros(size)
-    angle[:n], rate[:n] = plant.c
+
+    def padded(vector: Array) -> Array:
+        return np.append(vector, np.zeros(size - n))
+
+    torque = pid.gain * padded(plant.b[:, 0])
+    rows: Iterator[Array] = (padded(row) for row in plant.c[:4])
+    mirror, _, angle, rate = rows
 
     a = np.zeros((size, size))
     a[:n, :n] = plant.a
@@ -114,9 +148,9 @@ def closed_loop_state_space(loop: Loop, modes: ModalSet, mirror_port: str) -> St
         derivative = -pid.kd * torque
     column = measured + a @ derivative
     external = np.zeros((size, 2))
-    external[:n] = plant.b[:, 1:]
+    external[:n] = plant.b[:, 1:3]
     b = np.column_stack([external, column, column, -column])
-    c = np.vstack([angle, angle])
+    c = np.vstack([mirror, mirror])
     d = np.zeros((2, 5))
     d[1, INPUTS.index("line_of_sight")] = 1.0
     return StateSpace(a, b, c, d, INPUTS, OUTPUTS)

@@ -216,7 +216,7 @@ def refuse_infinite_variance(disturbance: Disturbance, loop: Loop, drifting: boo
             f"disturbance '{disturbance.name}': infinite variance, its spectrum does not fall off at high "
             f"frequency and '{at}' passes it; use a filter that rolls off, or state an upper band edge"
         )
-    # Through a free rigid body a torque reaches the line of sight as 1/s with integral action, else as 1/s².
-    needed = 1 if pid.ki != 0 else 2
+    # Through a free rigid body a torque reaches the line of sight as 1/s with integral action on it, else as 1/s².
+    needed = 1 if pid.ki != 0 and loop.placement.sensor is None else 2
     if pushing and shape.zeros_at_origin < needed:
         raise ModelError(drift)

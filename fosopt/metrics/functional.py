@@ -7,9 +7,9 @@ from functools import cached_property
 
 import numpy as np
 
-from fosopt.control import Loop, Receptances
+from fosopt.control import Loop, Receptances, with_attachments
 from fosopt.modes import ModalSet
-from fosopt.ops import Array, ComplexArray
+from fosopt.ops import Array, ComplexArray, Dual
 
 
 @dataclass(frozen=True)
@@ -22,12 +22,15 @@ class Points:
         (m,) [rad/s].
     modal
         (m, n) modal receptances 1/(s² + 2ζ_k ω_k s + ω_k²).
+    bare
+        Receptances of the structure alone at `s`.
     g
-        Receptances at `s`.
+        Receptances of the structure with what is attached to it.
     """
 
     s: ComplexArray
     modal: ComplexArray
+    bare: Receptances
     g: Receptances
 
 
@@ -71,16 +74,22 @@ class LoopModel:
         return self._points(np.array([base + shift]), 1.0 / (first * second)[None, :])
 
     def _points(self, s: ComplexArray, modal: ComplexArray) -> Points:
-        both = modal @ self._pairs
-        return Points(s, modal, Receptances(both[:, 0], both[:, 1]))
+        bare = _receptances(modal @ self._pairs)
+        return Points(s, modal, bare, with_attachments(self.loop, s, bare))
 
-    def slopes(self, points: Points) -> Receptances:
-        """Derivatives of the receptances in `s`."""
+    def along(self, points: Points) -> tuple[Dual, Receptances]:
+        """The points and receptances there with their derivatives in `s`, as formulas take them."""
         linear = 2 * points.s[:, None] + self.modes.damping
-        both = -(linear * points.modal**2) @ self._pairs
-        return Receptances(both[:, 0], both[:, 1])
+        slopes = _receptances(-(linear * points.modal**2) @ self._pairs)
+        pairs = [Dual(v, d) for v, d in zip(points.bare.values, slopes.values, strict=True)]
+        s = Dual(points.s, 1.0)
+        return s, with_attachments(self.loop, s, Receptances(pairs[0], pairs[1], tuple(pairs[2:])))
 
     @cached_property
     def _pairs(self) -> Array:
-        h = self.modes.at(self.mirror_port)
-        return np.column_stack([h * h, h * self.modes.at("hub")])
+        shapes = [self.modes.at(port) for port in self.loop.ports(self.mirror_port)]
+        return np.column_stack([shapes[a] * shapes[b] for a, b in self.loop.pairs])
+
+
+def _receptances(columns: ComplexArray) -> Receptances:
+    return Receptances(columns[:, 0], columns[:, 1], tuple(columns[:, k] for k in range(2, columns.shape[1])))

@@ -80,12 +80,13 @@ def pole_residues(model: LoopModel, poles: ClosedLoopPoles, response: str) -> Co
 
 
 def _residues(model: LoopModel, poles: ClosedLoopPoles, responses: Iterable[str]) -> dict[str, ComplexArray]:
-    g, slope = poles.receptances()
-    s = poles.value
-    delta = characteristic(
-        model.loop, Dual(s, 1.0), type(g)(Dual(g.direct, slope.direct), Dual(g.cross, slope.cross))
-    )
-    return {name: NUMERATORS[name](model.loop, s, g) / delta.slope for name in set(responses)}
+    s, g = Dual(poles.value, 1.0), poles.receptances()
+    slope = characteristic(model.loop, s, g).slope
+    found = {}
+    for name in set(responses):
+        numerator = NUMERATORS[name](model.loop, s, g)
+        found[name] = (numerator.value if isinstance(numerator, Dual) else numerator) / slope
+    return found
 
 
 def _by_residues(

@@ -7,12 +7,12 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
-from fosopt.control import ClosedLoopPoles, Receptances, characteristic, loop_transfer
+from fosopt.control import ClosedLoopPoles, characteristic, loop_transfer
 from fosopt.errors import SolverError
 from fosopt.metrics.functional import Functional, LoopModel
 from fosopt.metrics.inertias import ModalFunctional
 from fosopt.modes import Damping, ModalSet, impedance_change
-from fosopt.ops import Array, ComplexArray, Dual
+from fosopt.ops import Array, ComplexArray
 
 _BISECTIONS = 60
 # A pole that rounding has put on its open-loop pole is looked at this far from it (relative).
@@ -23,11 +23,7 @@ _GRID = 120
 
 def loop_transfer_slope(model: LoopModel, frequency: Array) -> tuple[ComplexArray, ComplexArray]:
     """L(jω) and dL/dω at (m,) frequencies [rad/s]."""
-    points = model.points(1j * frequency)
-    g, slope = points.g, model.slopes(points)
-    value = loop_transfer(
-        model.loop, Dual(points.s, 1.0), Receptances(Dual(g.direct, slope.direct), Dual(g.cross, slope.cross))
-    )
+    value = loop_transfer(model.loop, *model.along(model.points(1j * frequency)))
     return value.value, 1j * value.slope
 
 
@@ -172,12 +168,7 @@ def rightmost_poles(
             continue
         base, shift = poles.base[k], poles.shift[k]
         points = model.points_near_pole(base, shift or _LEAST_SHIFT * abs(base))
-        g, slope = points.g, model.slopes(points)
-        delta = characteristic(
-            model.loop,
-            Dual(points.s, 1.0),
-            Receptances(Dual(g.direct, slope.direct), Dual(g.cross, slope.cross)),
-        )
+        delta = characteristic(model.loop, *model.along(points))
         found.append((float(real[k]), Functional("characteristic", points, -1 / delta.slope)))
     return found
 

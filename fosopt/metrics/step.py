@@ -92,7 +92,7 @@ def step_metrics(
     swing = float(np.real(q @ mean_of(p)))
     mean = steady + swing
     square = q @ mean_of(p[:, None] + p) @ q + q @ mean_of(p[:, None] + p.conj()) @ q.conj()
-    rms = float(np.sqrt(max(0.5 * square.real - swing**2, 0.0)))
+    rms = max(float(0.5 * square.real - swing**2), 0.0) ** 0.5
     fastest = p[p.real > -40 / start]
     s, along = _path(np.abs(fastest.imag).max(initial=1 / start), start, end)
     # The error's mean weighted with e^{st}, by which a change of T(s)/s reaches the mean square.

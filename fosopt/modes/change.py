@@ -5,6 +5,7 @@ No difference of eigenvalues appears in a denominator, and mode crossings do no 
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -56,11 +57,9 @@ def receptance_functional(
     kept: NDArray[np.intp],
     s: ComplexArray,
     modal: ComplexArray,
-    direct: ComplexArray,
-    cross: ComplexArray,
-    mirror_port: str,
+    coefficients: Mapping[tuple[str, str], ComplexArray],
 ) -> tuple[Array, Array]:
-    """Gradient of Re Σ_i [a_i dg_hh(s_i) + b_i dg_h0(s_i)] for the row weights of stiffness and mass.
+    """Gradient of Re Σ_i Σ_pq c_pq,i dg_pq(s_i) for the row weights of stiffness and mass.
 
     With ψ_p = φ_p/(s² + c s + ω²), dg_pq = −ψ_pᵀ (s² dM + s dC + dK) ψ_q, and dC of `ImpedanceChange`.
 
@@ -72,8 +71,8 @@ def receptance_functional(
         Indices of the modes that make up g; the others enter through the change of the kept shapes.
     s, modal
         (m,) points and (m, r) modal receptances ψ/φ of the kept modes there.
-    direct, cross
-        (m,) coefficients a, b.
+    coefficients
+        (m,) c of each pair of ports.
 
     Returns
     -------
@@ -81,11 +80,18 @@ def receptance_functional(
         Derivatives for the stiffness and mass weights.
     """
     inside = modes if kept.size == modes.rigid.size else modes.keep(kept)
-    h, o = inside.at(mirror_port), inside.at("hub")
-    left = modal * h
-    right = direct[:, None] * left + cross[:, None] * (modal * o)
-    first = right * s[:, None]
-    powers = [_real_product(left, right), _real_product(left, first), _real_product(left, first * s[:, None])]
+    # Pairs that share their first port share one product.
+    rights: dict[str, ComplexArray] = {}
+    for (p, q), coefficient in coefficients.items():
+        right = coefficient[:, None] * (modal * inside.at(q))
+        rights[p] = rights[p] + right if p in rights else right
+    size = kept.size
+    powers = [np.zeros((size, size)) for _ in range(3)]
+    for p, right in rights.items():
+        left = modal * inside.at(p)
+        for k in range(3):
+            powers[k] += _real_product(left, right)
+            right = right * s[:, None]
     lam = frame.eigenvalue[kept]
     change = impedance_change(frame.eigenvalue[kept], inside, damping)
     in_stiffness = -(powers[0] + change.damping_by_stiffness * powers[1])
@@ -95,10 +101,12 @@ def receptance_functional(
 
     # The kept shapes also turn toward the modes left out: dφ_k = Σ_j φ_j (dK_jk − λ_k dM_jk)/(λ_k − λ_j).
     out = np.setdiff1d(np.arange(frame.eigenvalue.size), kept)
-    by_h = np.real((2 * direct[:, None] * modal * h + cross[:, None] * modal * o).sum(axis=0))
-    by_o = np.real((cross[:, None] * modal * h).sum(axis=0))
-    shapes_h, shapes_o = modes.at(mirror_port)[out], modes.at("hub")[out]
-    turn = (by_h[:, None] * shapes_h + by_o[:, None] * shapes_o) / (lam[:, None] - frame.eigenvalue[out])
+    turn = np.zeros((kept.size, out.size))
+    for (p, q), coefficient in coefficients.items():
+        share = np.real(coefficient @ modal)[:, None]
+        for one, other in ((p, q), (q, p)):
+            turn += share * inside.at(one)[:, None] * modes.at(other)[out]
+    turn /= lam[:, None] - frame.eigenvalue[out]
     n = frame.eigenvalue.size
     full_stiffness, full_mass = np.zeros((n, n)), np.zeros((n, n))
     full_stiffness[np.ix_(kept, kept)], full_mass[np.ix_(kept, kept)] = in_stiffness, in_mass

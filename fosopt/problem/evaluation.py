@@ -55,7 +55,8 @@ class Evaluation:
     @cached_property
     def all_modes(self) -> ModalSet:
         """Modal set with every mode."""
-        return self.frame.modal_set(self.system.hub, self.system.damping, ("hub", self.system.mirror_port))
+        ports = ("hub", self.system.mirror_port, *self.design.loop.other_ports)
+        return self.frame.modal_set(self.system.hub, self.system.damping, ports)
 
     @cached_property
     def kept(self) -> NDArray[np.intp]:
@@ -310,15 +311,17 @@ class Evaluation:
         """Gradient of Σ Re Σ w dR(s): through the receptances to the structure, and directly to the loop."""
         by_loop = np.zeros(len(LOOP_PARAMETERS))
         # Functionals on the same points share the costly part, their way through the receptances.
-        shared: dict[int, tuple[Points, ComplexArray, ComplexArray]] = {}
+        shared: dict[int, tuple[Points, ComplexArray]] = {}
+        loop = self.design.loop
         for f in functionals:
-            partials = response_partials(f.response, self.design.loop, f.points.s, f.points.g)
-            direct, cross = f.weight * partials.direct, f.weight * partials.cross
-            if id(f.points) in shared:
-                direct, cross = shared[id(f.points)][1] + direct, shared[id(f.points)][2] + cross
-            shared[id(f.points)] = (f.points, direct, cross)
+            partials = response_partials(f.response, loop, f.points.s, f.points.bare)
+            weighted = f.weight * partials.receptances
+            before = shared.get(id(f.points))
+            shared[id(f.points)] = (f.points, weighted if before is None else before[1] + weighted)
             by_loop += np.real(partials.parameters @ f.weight)
-        points, by_direct, by_cross = zip(*shared.values(), strict=True)
+        points, by_pair = zip(*shared.values(), strict=True)
+        ports = loop.ports(self.system.mirror_port)
+        names = [(ports[a], ports[b]) for a, b in loop.pairs]
         stiffness, mass = receptance_functional(
             self.frame,
             self.all_modes,
@@ -326,9 +329,7 @@ class Evaluation:
             self.kept,
             np.concatenate([p.s for p in points]),
             np.concatenate([p.modal for p in points]),
-            np.concatenate(by_direct),
-            np.concatenate(by_cross),
-            self.system.mirror_port,
+            dict(zip(names, np.concatenate(by_pair, axis=1), strict=True)),
         )
         gradient = self._weights_gradient(stiffness, mass)
         gradient[-len(LOOP_PARAMETERS) :] = by_loop

@@ -14,7 +14,7 @@ from fosopt.metrics.step import StepCommand
 from fosopt.modes import Damping, Hub
 from fosopt.ops import Array
 from fosopt.structure import Structure
-from fosopt.symbolic import loop_of, loop_parameters
+from fosopt.symbolic import layout_of, loop_of, loop_parameters
 
 _SCALARS = (
     "structural_mass",
@@ -136,5 +136,5 @@ class Design:
             parameters[:b],
             parameters[b : b + r],
             self.mirror_mass,
-            loop_of([float(x) for x in parameters[b + r :]]),
+            loop_of([float(x) for x in parameters[b + r :]], layout_of(self.loop)),
         )

@@ -93,12 +93,15 @@ class Truss:
 
 @dataclass(frozen=True)
 class Structure:
-    """An assembled truss: constant matrices and linear weights.
+    """An assembled structure: constant matrices and linear weights.
 
     Shapes: n degrees of freedom, b bars, r battens, k stiffness rows, m mass rows.
 
     Attributes
     ----------
+    truss
+        What it was assembled from; of a beam or a chain, which have neither bars nor battens, the places of its
+        ports alone.
     dofs
         (n,) names such as ``B20.rz``.
     stiffness_rows, stiffness_by_area, stiffness_constant
@@ -106,7 +109,7 @@ class Structure:
     mass_rows, mass_by_area, mass_by_batten, mass_by_mirror, mass_constant
         (m, n) velocity per velocity, (m, b) [kg per m²], (m, r), (m,), (m,) [kg] or [kg m²].
     bar_mass_per_area, mass_fixed
-        (b,) [kg/m²], and the mass of the point masses [kg].
+        (b,) [kg/m²], and the mass that no parameter changes [kg].
     hub_arm
         (m,) motion of each mass row per unit rotation about the hub.
     ports
@@ -157,16 +160,19 @@ class Structure:
         return sparse.csr_array(sparse.block_array(table).T)
 
     def port(self, name: str) -> Array:
-        """(n,) Row that reads a port's motion.
+        """(n,) Row that reads the motion of a port, or of a degree of freedom by its own name, such as ``B10.y``.
 
         Raises
         ------
         ModelError
-            If there is no port of that name.
+            If there is no port or degree of freedom of that name.
         """
-        if name not in self.ports:
-            raise ModelError(f"port '{name}' does not exist; {did_you_mean(name, self.ports)}")
-        return self.ports[name]
+        if name in self.ports:
+            return self.ports[name]
+        if name not in self.dofs:
+            known = self.ports if "." not in name else (*self.ports, *self.dofs)
+            raise ModelError(f"port '{name}' does not exist; {did_you_mean(name, known)}")
+        return np.array([float(dof == name) for dof in self.dofs])
 
 
 def stiffness_matrix(structure: Structure, area: Any) -> Any:
@@ -214,7 +220,7 @@ def mass_weights(structure: Structure, area: Any, batten_mass: Any, mirror_mass:
 
 
 def structural_mass(structure: Structure, area: Any, batten_mass: Any) -> Any:
-    """Mass of bars, battens and point masses, without the mirror [kg]."""
+    """Mass of bars, battens and all that is fixed, without the mirror [kg]."""
     bars = ops.total(structure.bar_mass_per_area * area)
     return bars + ops.total(batten_mass) + structure.mass_fixed
 

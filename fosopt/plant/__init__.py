@@ -1,0 +1,14 @@
+"""The coupled plant: mirror and actuators on their structure."""
+
+from fosopt.plant.coupled import CoupledModes, coupled_modes, secular, secular_slope
+from fosopt.plant.matrices import CoupledMatrices, attached, coupled_matrices
+
+__all__ = [
+    "CoupledMatrices",
+    "CoupledModes",
+    "attached",
+    "coupled_matrices",
+    "coupled_modes",
+    "secular",
+    "secular_slope",
+]
