@@ -109,13 +109,15 @@ class ReactionMassActuator:
     Attributes
     ----------
     port
-        Where it is mounted: a translation, or a rotation for a reaction wheel on a spring.
+        Where it is mounted.
     mass
-        m_a [kg], or an inertia [kg m²] at a rotation.
+        m_a [kg], or [kg m²].
     natural_frequency, damping_ratio
         On a rigid support, without feedback [rad/s], [-].
     rate_gain
-        Δ [N s/m]; zero or more, as only then it can do no harm.
+        Δ [N s/m], or [N m s/rad]; zero or more, as only then it can do no harm.
+    rotary
+        Whether the port turns: then `mass` is an inertia and no part of any mass.
     """
 
     port: str
@@ -123,6 +125,7 @@ class ReactionMassActuator:
     natural_frequency: float
     damping_ratio: float
     rate_gain: float = 0.0
+    rotary: bool = False
 
     def __post_init__(self) -> None:
         where = f"reaction-mass actuator at '{self.port}'"

@@ -16,7 +16,7 @@ from fosopt.control.loop import (
 from fosopt.control.open_loop import OpenLoopPoles, open_loop_poles
 from fosopt.control.pid import PID, gain_for_crossover, pid_response
 from fosopt.control.poles import ClosedLoopPoles, closed_loop_poles
-from fosopt.control.state_space import StateSpace, closed_loop_state_space, plant_state_space
+from fosopt.control.state_space import StateSpace, closed_loop_state_space, modal_matrices, plant_state_space
 
 __all__ = [
     "NUMERATORS",
@@ -34,6 +34,7 @@ __all__ = [
     "coupling",
     "gain_for_crossover",
     "loop_transfer",
+    "modal_matrices",
     "open_loop_poles",
     "pid_response",
     "plant_impedance",

@@ -72,6 +72,11 @@ class Loop:
         """Whether nothing but the mirror is attached to the structure."""
         return self.mirror.reaction_mass is None and not self.actuators
 
+    @property
+    def plain(self) -> bool:
+        """Whether it is a bicollocated mirror and nothing else."""
+        return self.bare and self.placement == BICOLLOCATED
+
 
 @cache
 def port_pairs(count: int) -> tuple[tuple[int, int], ...]:

@@ -7,6 +7,7 @@ how receptances, frequencies and inertias change with the design.
 
 from fosopt.modes.change import ImpedanceChange, impedance_change, receptance_functional
 from fosopt.modes.frame import ModalFrame, modal_frame
+from fosopt.modes.mac import match_modes, modal_assurance
 from fosopt.modes.modal_set import Damping, Hub, ModalSet
 from fosopt.modes.truncation import reduced_matrices
 
@@ -17,6 +18,8 @@ __all__ = [
     "ModalFrame",
     "ModalSet",
     "impedance_change",
+    "match_modes",
+    "modal_assurance",
     "modal_frame",
     "receptance_functional",
     "reduced_matrices",

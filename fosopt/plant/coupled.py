@@ -17,14 +17,17 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy import linalg
 
 from fosopt.actuators import Mirror
 from fosopt.errors import SolverError
 from fosopt.modes import ModalSet
 from fosopt.ops import Array
+from fosopt.plant.matrices import CoupledMatrices
 
 _MAX_ITERATIONS = 200
 _TUNED = 1e-9
+_RIGID = 1e-12
 
 
 def secular(mirror: Mirror, eigenvalue: Any, g: Any) -> Any:
@@ -87,6 +90,21 @@ class CoupledModes:
     def one_minus_separation(self) -> Array:
         """(n+1,) 1 − β_k without cancellation [-]."""
         return -self.separation / (1 + self.pole_zero_separation)
+
+
+def modes_of_matrices(coupled: CoupledMatrices, mirror: Mirror) -> CoupledModes:
+    """Undamped modes of any placement and any actuators, by the dense eigenvalue problem.
+
+    J̄_k = J_m φ_jk (φ_ik − φ_hk) may have either sign where the loop is not bicollocated, and a mode has no zero
+    of its own to be paired with.    [Barker1991] Eqs. (4.6), (4.7)
+    """
+    eigenvalue, shapes = linalg.eigh(coupled.stiffness, coupled.mass)
+    eigenvalue = np.where(eigenvalue <= _RIGID * eigenvalue[-1], 0.0, eigenvalue)
+    reaction = mirror.inertia * (coupled.sensor @ shapes) * (coupled.control @ shapes)
+    reaction = np.where(eigenvalue == 0, 0.0, reaction)
+    none = np.full(eigenvalue.size, np.nan)
+    own = int(np.argmax(mirror.inertia * shapes[coupled.mirror] ** 2))
+    return CoupledModes(eigenvalue, np.zeros(eigenvalue.size), reaction, none, none, own)
 
 
 def coupled_modes(modes: ModalSet, mirror: Mirror, mirror_port: str) -> CoupledModes:

@@ -8,7 +8,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from fosopt.control import ClosedLoopPoles, closed_loop_poles
+from fosopt.control import ClosedLoopPoles, closed_loop_poles, modal_matrices
 from fosopt.errors import ModelError, SolverError, did_you_mean
 from fosopt.metrics import inertias, margins
 from fosopt.metrics.functional import Functional, LoopModel, Points
@@ -17,7 +17,7 @@ from fosopt.metrics.jitter import Variance, jitter_variances
 from fosopt.metrics.step import step_metrics
 from fosopt.modes import ModalFrame, ModalSet, modal_frame, receptance_functional
 from fosopt.ops import Array, ComplexArray
-from fosopt.plant import CoupledModes, coupled_modes
+from fosopt.plant import CoupledModes, coupled_modes, modes_of_matrices
 from fosopt.problem.system import INDEXED, Design, System
 from fosopt.structure import structural_mass, structure_inertia
 from fosopt.symbolic import LOOP_PARAMETERS, response_partials
@@ -77,8 +77,11 @@ class Evaluation:
 
     @cached_property
     def coupled(self) -> CoupledModes:
-        """Undamped modes of structure and mirror together."""
-        return coupled_modes(self.modes, self.design.loop.mirror, self.system.mirror_port)
+        """Undamped modes of structure, mirror and actuators together."""
+        loop, port = self.design.loop, self.system.mirror_port
+        if loop.plain:
+            return coupled_modes(self.modes, loop.mirror, port)
+        return modes_of_matrices(modal_matrices(loop, self.modes, port), loop.mirror)
 
     @cached_property
     def poles(self) -> ClosedLoopPoles:
@@ -180,7 +183,8 @@ class Evaluation:
             gradient[:b] = structure.bar_mass_per_area
             gradient[b : b + r] = 1.0
             mass = float(structural_mass(structure, d.area, d.batten_mass))
-            return (mass + d.mirror_mass if name == "total_mass" else mass), gradient
+            proof = sum(a.mass for a in d.loop.actuators if not a.rotary)
+            return (mass + d.mirror_mass + proof if name == "total_mass" else mass), gradient
         inertia = float(structure_inertia(structure, d.area, d.batten_mass))
         arm2 = structure.hub_arm**2
         gradient[:b] = structure.mass_by_area.T @ arm2
@@ -215,6 +219,11 @@ class Evaluation:
             value = float(inertias.modal_inertia(self.modes, port)[k])
             functional = inertias.modal_inertia_functional(self.frame, self.all_modes, port, mode)
             return value, self._modal_gradient(functional)
+        if not self.design.loop.plain:
+            raise ModelError(
+                f"{name}[{index}] is a metric of a bicollocated mirror without reaction masses only; "
+                "the report's table of modes has its value"
+            )
         coupled = self.coupled
         frequency = float(coupled.natural_frequency[k])
         reaction = float(coupled.effective_modal_reaction_inertia[k])

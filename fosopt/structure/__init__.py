@@ -1,7 +1,9 @@
-"""Structures: trusses of pin-ended bars and rigid battens, and their mass and stiffness."""
+"""Structures: trusses of pin-ended bars and rigid battens, uniform beams, and chains of bodies and springs."""
 
 from fosopt.structure.assembly import assemble, bar_lengths
 from fosopt.structure.barker import barker_truss
+from fosopt.structure.beam import Beam, BeamModes, assemble_beam, barker_beam
+from fosopt.structure.chain import Chain, assemble_chain, two_body_stiffness
 from fosopt.structure.truss import (
     Bar,
     Batten,
@@ -20,12 +22,18 @@ from fosopt.structure.truss import (
 __all__ = [
     "Bar",
     "Batten",
+    "Beam",
+    "BeamModes",
+    "Chain",
     "PointMass",
     "Spring",
     "Structure",
     "Truss",
     "assemble",
+    "assemble_beam",
+    "assemble_chain",
     "bar_lengths",
+    "barker_beam",
     "barker_truss",
     "mass_matrix",
     "mass_weights",
@@ -33,4 +41,5 @@ __all__ = [
     "stiffness_weights",
     "structural_mass",
     "structure_inertia",
+    "two_body_stiffness",
 ]

@@ -10,7 +10,13 @@ from typing import Any
 
 import numpy as np
 
-from fosopt.actuators import Mirror
+from fosopt.actuators import (
+    BICOLLOCATED,
+    Mirror,
+    MirrorReactionMass,
+    Placement,
+    ReactionMassActuator,
+)
 from fosopt.control import PID, Loop, gain_for_crossover
 from fosopt.errors import FosoptError, StudyError
 from fosopt.expressions import Expression
@@ -22,16 +28,21 @@ from fosopt.problem import Constraint, Definitions, Design, ModeSelection, Probl
 from fosopt.structure import (
     Bar,
     Batten,
+    Beam,
+    Chain,
     PointMass,
     Spring,
     Structure,
     Truss,
     assemble,
+    assemble_beam,
+    assemble_chain,
     barker_truss,
     structural_mass,
     structure_inertia,
+    two_body_stiffness,
 )
-from fosopt.study import schema, schema_system, schema_truss
+from fosopt.study import schema, schema_structures, schema_system, schema_truss
 from fosopt.study.files import read_damping, read_psd
 
 
@@ -44,7 +55,7 @@ def build_problem(study: schema.Study) -> Problem:
         For what physics does not allow, with the line of the section at fault.
     """
     with _at(study, "structure"):
-        structure = assemble(_truss(study), study.mirror.port)
+        structure = _structure(study.structure, study.mirror.port)
     base = _base(study, structure)
     with _at(study, "damping"):
         damping = _damping(study)
@@ -110,8 +121,33 @@ def _check_start(study: schema.Study, problem: Problem) -> None:
             shaping.refuse_infinite_variance(disturbance, evaluation.design.loop, drifting)
 
 
-def _truss(study: schema.Study) -> Truss:
-    given = study.structure
+def _structure(given: schema_structures.Structure, mirror_port: str) -> Structure:
+    if isinstance(given, schema_structures.Beam):
+        beam = Beam(
+            given.length,
+            given.mass_per_length,
+            given.bending_stiffness,
+            given.axial_stiffness,
+            given.boundary,
+        )
+        modes = given.lateral_modes, given.longitudinal_modes
+        return assemble_beam(beam, mirror_port, *modes, given.stations)
+    if isinstance(given, schema_structures.Chain):
+        inertias = [body.inertia for body in given.bodies]
+        springs = map(_spring_stiffness, given.springs, inertias[:-1], inertias[1:])
+        names = (body.name for body in given.bodies)
+        chain = Chain(dict(zip(names, inertias, strict=True)), tuple(springs), given.held)
+        return assemble_chain(chain, mirror_port)
+    return assemble(_truss(given), mirror_port)
+
+
+def _spring_stiffness(spring: schema_structures.ChainSpring, first: float, second: float) -> float:
+    if spring.stiffness is not None:
+        return spring.stiffness
+    return float(two_body_stiffness(spring.frequency, first, second))
+
+
+def _truss(given: schema_truss.BarkerTruss | schema_truss.Truss) -> Truss:
     if isinstance(given, schema_truss.BarkerTruss):
         sizes = {
             name: value
@@ -155,12 +191,51 @@ def _base(study: schema.Study, structure: Structure) -> Design:
         assert given.stiffness is not None
         frequency = float(np.sqrt(given.stiffness / inertia))
     with _at(study, "mirror"):
-        mirror = Mirror(inertia, frequency, given.damping_ratio)
+        shares = given.reaction_mass
+        counter = None if shares is None else MirrorReactionMass(**shares.model_dump())
+        mirror = Mirror(inertia, frequency, given.damping_ratio, counter)
     lag = 1 / pid.rolloff if pid.rolloff is not None else 0.0
     gain = pid.gain
     if gain is None:
         gain = float(gain_for_crossover(pid.crossover, mirror, pid.kp, pid.ki, pid.kd, lag))
-    return Design(area, batten_mass, mirror_mass, Loop(mirror, PID(gain, pid.kp, pid.ki, pid.kd, lag)))
+    controller = PID(gain, pid.kp, pid.ki, pid.kd, lag)
+    loop = Loop(mirror, controller, _placement(study, structure), tuple(_actuators(study, structure)))
+    return Design(area, batten_mass, mirror_mass, loop)
+
+
+def _placement(study: schema.Study, structure: Structure) -> Placement:
+    given = study.placement
+    if given is None:
+        return BICOLLOCATED
+    own = structure.port(study.mirror.port)
+    for key in ("reaction", "sensor", "action"):
+        port = getattr(given, key)
+        if port is None:
+            continue
+        with _at(study, "placement", key):
+            row = structure.port(port)
+        reacting = own if given.reaction is None else structure.port(given.reaction)
+        if key == "action" and np.array_equal(row, reacting):
+            raise study.error(
+                f"the torque acts and reacts at '{port}' and moves nothing; choose two places",
+                *("placement", key),
+            )
+    # A reaction at the mirror's own port by another name is the usual one.
+    named = given.reaction is not None and np.array_equal(structure.port(given.reaction), own)
+    return Placement(None if named else given.reaction, given.sensor, given.action)
+
+
+def _actuators(study: schema.Study, structure: Structure) -> Iterator[ReactionMassActuator]:
+    for k, given in enumerate(study.actuators):
+        with _at(study, "actuators", k, "port"):
+            structure.port(given.port)
+        with _at(study, "actuators", k):
+            rotary = given.inertia is not None
+            mass = given.inertia if given.inertia is not None else given.mass
+            assert mass is not None
+            yield ReactionMassActuator(
+                given.port, mass, given.frequency, given.damping_ratio, given.rate_gain, rotary
+            )
 
 
 def _damping(study: schema.Study) -> Damping:

@@ -6,8 +6,10 @@ from collections.abc import Iterable, Iterator
 
 from fosopt.expressions import Expression, parse_expression
 from fosopt.study.schema import Study, Variable
+from fosopt.study.schema_actuators import Actuator
 from fosopt.study.schema_names import SIGNAL
 from fosopt.study.schema_rules import dimension_of, expression_dimension
+from fosopt.study.schema_structures import Structure
 from fosopt.study.schema_system import Disturbance, Filter
 from fosopt.units import DIMENSIONS, HZ, dimension_name, display, show
 
@@ -104,13 +106,8 @@ def _start(study: Study, variable: Variable) -> str:
 
 
 def _system(study: Study) -> Iterator[str]:
-    structure, mirror, controller, hub = study.structure, study.mirror, study.controller, study.hub
-    if structure.type == "barker_truss":
-        yield f"structure   planar truss of {structure.bays} bays, {structure.boundary}"
-    else:
-        dimension = "planar" if len(next(iter(structure.nodes.values()))) == 2 else "spatial"
-        counts = f"{len(structure.nodes)} nodes, {len(structure.bars)} bars, {len(structure.battens)} battens"
-        yield f"structure   {dimension} truss of {counts}"
+    mirror, controller, hub = study.mirror, study.controller, study.hub
+    yield f"structure   {_structure(study.structure)}"
     if hub.bandwidth is not None and hub.damping_ratio is not None:
         held = show(hub.bandwidth, "frequency")
         yield f"hub         held, bandwidth {held}, damping ratio {hub.damping_ratio:g}"
@@ -133,6 +130,12 @@ def _system(study: Study) -> Iterator[str]:
         flexure = f"flexure of {show(mirror.stiffness or 0, 'rotational_stiffness')}"
     damping = f"damping ratio {mirror.damping_ratio:g}"
     yield f"mirror      at port {mirror.port}: mass {mass}, inertia {inertia}, {flexure}, {damping}"
+    shares = mirror.reaction_mass
+    if shares is not None:
+        yield (
+            f"            reactionless: inertia {shares.inertia_ratio:g}, stiffness {shares.stiffness_ratio:g} and "
+            f"torque {shares.torque_ratio:g} of the mirror's"
+        )
     gain = f"gain {show(controller.gain, 'control_gain')}" if controller.gain is not None else ""
     gain = (
         f"crossover {show(controller.crossover, 'frequency')}" if controller.crossover is not None else gain
@@ -140,9 +143,44 @@ def _system(study: Study) -> Iterator[str]:
     rolloff = f", roll-off {show(controller.rolloff, 'frequency')}" if controller.rolloff is not None else ""
     terms = f"kd {controller.kd:g}, kp {controller.kp:g}, ki {controller.ki:g}"
     yield f"controller  K(s) = gain (kd s² + kp s + ki)/s: {terms}, {gain}{rolloff}"
+    place = study.placement
+    if place is not None:
+        named = {key: port for key, port in place.model_dump().items() if port is not None}
+        yield "placement   " + ", ".join(f"{key} at {port}" for key, port in named.items())
+    for actuator in study.actuators:
+        yield f"actuator    {_actuator(actuator)}"
     if study.step is not None:
         start, end = (show(1e3 * time, "ratio") for time in study.step.window)
         yield f"step        {show(study.step.command, 'angle')}, judged from {start} to {end} ms"
+
+
+def _actuator(actuator: Actuator) -> str:
+    if actuator.mass is not None:
+        body, damper = show(actuator.mass, "mass"), "damper"
+    else:
+        body, damper = show(actuator.inertia or 0.0, "inertia"), "rotational_damper"
+    feedback = f", rate gain {show(actuator.rate_gain, damper)}" if actuator.rate_gain else ""
+    spring = f"{show(actuator.frequency, 'frequency')}, damping ratio {actuator.damping_ratio:g}"
+    return f"at port {actuator.port}: proof mass {body}, {spring}{feedback}"
+
+
+def _structure(structure: Structure) -> str:
+    match structure.type:
+        case "barker_truss":
+            return f"planar truss of {structure.bays} bays, {structure.boundary}"
+        case "truss":
+            dimension = "planar" if len(next(iter(structure.nodes.values()))) == 2 else "spatial"
+            counts = (
+                f"{len(structure.nodes)} nodes, {len(structure.bars)} bars, {len(structure.battens)} battens"
+            )
+            return f"{dimension} truss of {counts}"
+        case "beam":
+            size = f"{show(structure.length, 'length')}, {show(structure.mass_per_length, 'mass_per_length')}"
+            modes = f"{structure.lateral_modes} lateral and {structure.longitudinal_modes} longitudinal modes"
+            return f"uniform beam of {size}, {structure.boundary}, {modes}"
+        case _:
+            bodies = " - ".join(f"{body.name} {show(body.inertia, 'inertia')}" for body in structure.bodies)
+            return f"chain of bodies and springs, {'held' if structure.held else 'free'}: {bodies}"
 
 
 def _damping(study: Study) -> str:

@@ -40,7 +40,9 @@ def detail_of(evaluation: Evaluation) -> dict[str, Any]:
     return found
 
 
-def _truss(truss: Truss, area: Array) -> dict[str, Any]:
+def _truss(truss: Truss, area: Array) -> dict[str, Any] | None:
+    if not truss.bars:
+        return None  # a beam or a chain: there is nothing to draw
     index = {name: i for i, name in enumerate(truss.nodes)}
     return {
         "nodes": [[float(x) for x in xyz] for xyz in truss.nodes.values()],
@@ -74,7 +76,7 @@ def _modes(evaluation: Evaluation) -> list[dict[str, Any]]:
                 "frequency_hz": float(coupled.natural_frequency[k]) / (2 * pi),
                 "damping_ratio": None if ratio is None else float(ratio),
                 "effective_modal_reaction_inertia": float(coupled.effective_modal_reaction_inertia[k]),
-                "pole_zero_separation": None if mirror else float(coupled.pole_zero_separation[k]),
+                "pole_zero_separation": None if mirror else _finite(coupled.pole_zero_separation[k]),
                 "modal_inertia": None if paired is None else _finite(inertia[paired]),
             }
         )

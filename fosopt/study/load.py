@@ -118,6 +118,7 @@ def _explained(details: Mapping[str, Any], data: Any) -> tuple[KeyPath, bool, st
         "dict_type": f"{value} is no mapping; write keys and values",
         "model_type": f"{value} is no section; write keys and values",
         "model_attributes_type": f"{value} is no section; write keys and values",
+        "bool_type": f"{value} is neither true nor false; write one of them",
         "int_type": f"{value} is no whole number; write one such as 5",
         "too_short": f"{context.get('actual_length')} values; give at least {context.get('min_length')}",
         "too_long": f"{context.get('actual_length')} values; give at most {context.get('max_length')}",

@@ -9,6 +9,7 @@ from typing import Annotated, Any, Literal, Self
 from pydantic import Field, ModelWrapValidatorHandler, PrivateAttr, Tag, model_validator
 
 from fosopt.errors import StudyError
+from fosopt.study.schema_actuators import Actuator, Placement
 from fosopt.study.schema_base import (
     ONE_OR_LIST,
     TEXT_OR_LIST,
@@ -35,8 +36,8 @@ from fosopt.study.schema_base import (
 )
 from fosopt.study.schema_names import QUANTITIES
 from fosopt.study.schema_rules import check_study
+from fosopt.study.schema_structures import Structure
 from fosopt.study.schema_system import Controller, Damping, Disturbance, Hub, Mirror, Modes, Step
-from fosopt.study.schema_truss import Structure
 from fosopt.study.source import Source
 
 Groups = Annotated[dict[Identifier, Annotated[tuple[Label, ...], Field(min_length=1)]], Field(min_length=1)]
@@ -283,6 +284,8 @@ class Study(Section):
     modes: Modes | None = None
     mirror: Mirror
     controller: Controller
+    placement: Placement | None = None
+    actuators: tuple[Actuator, ...] = ()
     disturbances: tuple[Disturbance, ...] = ()
     step: Step | None = None
     variables: tuple[Variable, ...] = ()

@@ -51,6 +51,7 @@ def expression_dimension(study: Study, expression: Expression) -> Vector | None:
 def check_study(study: Study, data: Mapping[str, Any]) -> None:
     """Refuse a study whose sections do not fit together; ``data`` is what they were made of."""
     _check_ports(study)
+    _check_mirror_mass(study)
     _check_disturbances(study)
     _check_variables(study)
     _check_purpose(study)
@@ -97,12 +98,14 @@ def _check_ports(study: Study) -> None:
         raise RuleError(
             f"unknown port '{study.mirror.port}'; {did_you_mean(study.mirror.port, ports)}", "mirror", "port"
         )
-    if study.structure.type == "truss":
+    if study.structure.type in ("truss", "beam"):
         component = study.structure.ports[study.mirror.port][1]
         if not component.startswith("r"):
+            truss = study.structure.type == "truss"
+            use = "rx, ry or rz of a batten" if truss else "rz"
             raise RuleError(
-                f"the mirror turns, but its port moves along '{component}'; use rx, ry or rz of a batten",
-                *("structure", "ports", study.mirror.port, 1),
+                f"the mirror turns, but its port moves along '{component}'; use {use}",
+                *("structure", "ports" if truss else "stations", study.mirror.port, 1),
             )
     if "hub" not in ports:
         needed: list[KeyPath] = [
@@ -116,6 +119,15 @@ def _check_ports(study: Study) -> None:
             raise RuleError(
                 "this needs the port 'hub'; add 'hub: [batten, rz]' to structure.ports", *needed[0]
             )
+
+
+def _check_mirror_mass(study: Study) -> None:
+    if study.structure.type == "chain" and study.mirror.mass_fraction is not None:
+        raise RuleError(
+            "a chain has no mass the mirror could be a fraction of; give 'mass', of which 0 kg is right as well",
+            *("mirror", "mass_fraction"),
+            of_key=True,
+        )
 
 
 def _check_disturbances(study: Study) -> None:
@@ -163,6 +175,11 @@ def _check_variables(study: Study) -> None:
 
 def _check_members(study: Study, variable: Variable, at: KeyPath) -> None:
     structure = study.structure
+    if structure.type == "beam" or structure.type == "chain":
+        raise RuleError(
+            f"a {structure.type} has neither bars nor battens; remove the variable or describe a truss",
+            *(*at, "quantity"),
+        )
     if variable.quantity == "batten_mass" and structure.type == "truss" and not structure.battens:
         raise RuleError("the structure has no battens; remove the variable or add battens", *at, "quantity")
     if variable.quantity != "area":

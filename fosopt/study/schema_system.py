@@ -6,6 +6,7 @@ from typing import Annotated, Any, ClassVar, Literal, Self
 
 from pydantic import Field, Tag, model_validator
 
+from fosopt.study.schema_actuators import ReactionMass
 from fosopt.study.schema_base import (
     TEXT_OR_LIST,
     Angle,
@@ -103,6 +104,7 @@ class Mirror(Section):
     frequency: Frequency | None = None
     stiffness: RotationalStiffness | None = None
     damping_ratio: Annotated[float, Quantity("ratio", "nonnegative")]
+    reaction_mass: ReactionMass | None = None
 
     @model_validator(mode="after")
     def _check(self) -> Self:

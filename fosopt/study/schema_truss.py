@@ -1,4 +1,4 @@
-"""The structure of a study: the dissertation's truss, or any pin-ended truss."""
+"""Trusses as structures of a study: the dissertation's, or any pin-ended one."""
 
 from __future__ import annotations
 
@@ -190,6 +190,3 @@ class Truss(Section):
             raise RuleError(f"'{component}' is no component of a planar truss; use x, y or rz", *at)
         if component.startswith("r") and name not in battens:
             raise RuleError(f"'{component}': the pin-ended node '{name}' has no rotation; name a batten", *at)
-
-
-Structure = Annotated[BarkerTruss | Truss, Field(discriminator="type")]
