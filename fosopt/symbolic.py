@@ -100,7 +100,7 @@ def response_function(response: str, layout: Layout = _MIRROR_ALONE) -> ca.Funct
     loop = loop_of(p, layout)
     z = ca.SX.sym("z", 2 + 2 * len(loop.pairs))
     s, *pairs = (ComplexPair(z[i], z[i + 1]) for i in range(0, z.numel(), 2))
-    g = with_attachments(loop, s, Receptances(pairs[0], pairs[1], tuple(pairs[2:])))
+    g = with_attachments(loop, s, Receptances.of(pairs))
     value = _formula(response)(loop, s, g)
     return ca.Function(
         response,

@@ -14,7 +14,7 @@ Every formula is a rational function of `s`, the receptances and the parameters:
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cache
 from math import isqrt
@@ -108,6 +108,11 @@ class Receptances:
     cross: Any
     others: tuple[Any, ...] = ()
 
+    @classmethod
+    def of(cls, values: Sequence[Any]) -> Receptances:
+        """From all of them, in the order of `port_pairs`."""
+        return cls(values[0], values[1], tuple(values[2:]))
+
     @property
     def values(self) -> tuple[Any, ...]:
         """All of them, in the order of `port_pairs`."""
@@ -136,7 +141,7 @@ def with_attachments(loop: Loop, s: Any, g: Receptances) -> Receptances:
                 values.append(g.between(p, q) / held)
             else:
                 values.append(g.between(p, q) - g.between(p, a) * g.between(a, q) * stiffness / held)
-        g = Receptances(values[0], values[1], tuple(values[2:]))
+        g = Receptances.of(values)
     return g
 
 
@@ -181,6 +186,8 @@ def _structure_reach(loop: Loop, s: Any, g: Receptances, port: int) -> Any:
 
 def mirror_gain(loop: Loop, s: Any, g: Receptances) -> Any:
     """Mirror angle per control torque times Z; one for a bicollocated mirror.    [Barker1991] Eq. (4.22)"""
+    if loop.plain:
+        return 1.0
     acting = 0.0 if loop.placement.action else 1.0
     return acting + coupling(loop, s) * _reach(loop, s, g, _REFERENCE)
 

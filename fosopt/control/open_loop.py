@@ -84,22 +84,25 @@ class OpenLoopPoles:
         total = self.constant.sum(axis=0)
         if self.linear is not None:
             total = total + (self.first + self.second).real @ self.linear
-        return Receptances(total[0], total[1], tuple(total[2:]))
+        return Receptances.of(total)
 
     def receptances(self, base: ComplexArray, shift: ComplexArray) -> Receptances:
         """Receptances at s = base + shift, (m,) each, with their derivatives in `s`."""
-        return self.summed(*self.factors(base, shift), base + shift)
+        return Receptances.of(self.summed(*self.factors(base, shift), base + shift))
 
-    def summed(self, inverse: ComplexArray, logarithmic: ComplexArray, s: ComplexArray) -> Receptances:
-        """The same from `factors` that are known already."""
+    def summed(
+        self, inverse: ComplexArray, logarithmic: ComplexArray, s: ComplexArray, first: int | None = None
+    ) -> list[Dual]:
+        """The same from `factors` that are known already, of the `first` pairs or all."""
+        constant = self.constant[:, :first]
         slope = -inverse * logarithmic
-        value, change = inverse @ self.constant, slope @ self.constant
+        value, change = inverse @ constant, slope @ constant
         if self.linear is not None:
-            by_s = inverse @ self.linear
+            linear = self.linear[:, :first]
+            by_s = inverse @ linear
             value = value + s[:, None] * by_s
-            change = change + s[:, None] * (slope @ self.linear) + by_s
-        pairs = [Dual(value[:, k], change[:, k]) for k in range(value.shape[1])]
-        return Receptances(pairs[0], pairs[1], tuple(pairs[2:]))
+            change = change + s[:, None] * (slope @ linear) + by_s
+        return [Dual(value[:, k], change[:, k]) for k in range(value.shape[1])]
 
 
 def open_loop_poles(loop: Loop, modes: ModalSet, mirror_port: str) -> OpenLoopPoles:

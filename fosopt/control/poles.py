@@ -129,11 +129,10 @@ def _start(loop: Loop, open_loop: OpenLoopPoles) -> tuple[ComplexArray, ComplexA
     own = np.concatenate([np.flatnonzero(pair), np.flatnonzero(real), np.flatnonzero(real)])
     shift = np.zeros_like(base)
     factors = open_loop.factors(structural, np.zeros_like(structural), without=own)
-    rest = open_loop.summed(*factors, structural).values
+    rest = open_loop.summed(*factors, structural, _needed(loop))
     numerator = open_loop.numerators(structural, own)
-    pairs = [Dual(r.value, numerator[:, k]) for k, r in enumerate(rest)]
-    g = Receptances(pairs[0], pairs[1], tuple(pairs[2:]))
-    delta = characteristic(loop, Dual(structural, 0.0), g)
+    pairs = [Dual(pair.value, numerator[:, k]) for k, pair in enumerate(rest)]
+    delta = characteristic(loop, Dual(structural, 0.0), _of(pairs))
     push, delta = delta.slope, delta.value
     other = np.where(structural == open_loop.first[own], open_loop.second[own], open_loop.first[own])
     gap = structural - other
@@ -146,6 +145,15 @@ def _start(loop: Loop, open_loop: OpenLoopPoles) -> tuple[ComplexArray, ComplexA
     return base, shift, multiplicity
 
 
+def _needed(loop: Loop) -> int | None:
+    """How many pairs of receptances the characteristic function uses: of a mirror alone, the first."""
+    return 1 if loop.plain else None
+
+
+def _of(pairs: list[Dual]) -> Receptances:
+    return Receptances.of(pairs) if len(pairs) > 1 else Receptances(pairs[0], 0.0)
+
+
 def _aberth(
     loop: Loop,
     open_loop: OpenLoopPoles,
@@ -155,6 +163,7 @@ def _aberth(
 ) -> ClosedLoopPoles | None:
     pid = loop.controller
     moving = (open_loop.first != 0).astype(float)
+    needed = _needed(loop)
     pair = multiplicity == 2
     mirrored, shift = base[pair].conj(), shift.copy()
     rows = np.arange(base.size)  # poles that still move
@@ -163,7 +172,8 @@ def _aberth(
             b, d = base[rows], shift[rows]
             s = b + d
             inverse, logarithmic = open_loop.factors(b, d)
-            delta = characteristic(loop, Dual(s, 1.0), open_loop.summed(inverse, logarithmic, s))
+            pairs = open_loop.summed(inverse, logarithmic, s, needed)
+            delta = characteristic(loop, Dual(s, 1.0), _of(pairs))
             known = logarithmic @ moving
             if pid.ki:
                 known = known + 1 / s

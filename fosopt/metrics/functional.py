@@ -74,22 +74,18 @@ class LoopModel:
         return self._points(np.array([base + shift]), 1.0 / (first * second)[None, :])
 
     def _points(self, s: ComplexArray, modal: ComplexArray) -> Points:
-        bare = _receptances(modal @ self._pairs)
+        bare = Receptances.of((modal @ self._pairs).T)
         return Points(s, modal, bare, with_attachments(self.loop, s, bare))
 
     def along(self, points: Points) -> tuple[Dual, Receptances]:
         """The points and receptances there with their derivatives in `s`, as formulas take them."""
         linear = 2 * points.s[:, None] + self.modes.damping
-        slopes = _receptances(-(linear * points.modal**2) @ self._pairs)
-        pairs = [Dual(v, d) for v, d in zip(points.bare.values, slopes.values, strict=True)]
+        slopes = Receptances.of((-(linear * points.modal**2) @ self._pairs).T)
+        both = [Dual(v, d) for v, d in zip(points.bare.values, slopes.values, strict=True)]
         s = Dual(points.s, 1.0)
-        return s, with_attachments(self.loop, s, Receptances(pairs[0], pairs[1], tuple(pairs[2:])))
+        return s, with_attachments(self.loop, s, Receptances.of(both))
 
     @cached_property
     def _pairs(self) -> Array:
         shapes = [self.modes.at(port) for port in self.loop.ports(self.mirror_port)]
         return np.column_stack([shapes[a] * shapes[b] for a, b in self.loop.pairs])
-
-
-def _receptances(columns: ComplexArray) -> Receptances:
-    return Receptances(columns[:, 0], columns[:, 1], tuple(columns[:, k] for k in range(2, columns.shape[1])))

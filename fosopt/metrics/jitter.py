@@ -18,7 +18,7 @@ from math import inf, pi
 
 import numpy as np
 
-from fosopt.control import NUMERATORS, ClosedLoopPoles, characteristic, closed_loop_response
+from fosopt.control import NUMERATORS, ClosedLoopPoles, Receptances, characteristic, closed_loop_response
 from fosopt.errors import UnstableError
 from fosopt.metrics.disturbances import Disturbance, refuse_infinite_variance
 from fosopt.metrics.functional import Functional, LoopModel
@@ -80,13 +80,10 @@ def pole_residues(model: LoopModel, poles: ClosedLoopPoles, response: str) -> Co
 
 
 def _residues(model: LoopModel, poles: ClosedLoopPoles, responses: Iterable[str]) -> dict[str, ComplexArray]:
-    s, g = Dual(poles.value, 1.0), poles.receptances()
-    slope = characteristic(model.loop, s, g).slope
-    found = {}
-    for name in set(responses):
-        numerator = NUMERATORS[name](model.loop, s, g)
-        found[name] = (numerator.value if isinstance(numerator, Dual) else numerator) / slope
-    return found
+    g = poles.receptances()
+    slope = characteristic(model.loop, Dual(poles.value, 1.0), g).slope
+    at_poles = Receptances.of([pair.value for pair in g.values])
+    return {name: NUMERATORS[name](model.loop, poles.value, at_poles) / slope for name in set(responses)}
 
 
 def _by_residues(
