@@ -14,7 +14,7 @@ Every formula is a rational function of `s`, the receptances and the parameters:
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import cache
 from math import isqrt
@@ -109,7 +109,7 @@ class Receptances:
     others: tuple[Any, ...] = ()
 
     @classmethod
-    def of(cls, values: Sequence[Any]) -> Receptances:
+    def of(cls, values: Any) -> Receptances:
         """From all of them, in the order of `port_pairs`."""
         return cls(values[0], values[1], tuple(values[2:]))
 
