@@ -52,8 +52,9 @@ RANKS = {
     "report": 11,
     "export": 11,
     "study": 12,
-    "cli": 13,
-    "__main__": 14,
+    "reproduce": 13,
+    "cli": 14,
+    "__main__": 15,
 }
 # Errors, units and the expressions of a study are words, not layers: everyone speaks them.
 OPEN_TO_ALL = {"errors", "units", "expressions"}
@@ -64,6 +65,7 @@ LIBRARIES = {
     "clarabel": {"relax"},
     "cvxpy": {"relax"},
     "matplotlib": {"report"},
+    "numba": {"plant"},
     "numpy": ANYWHERE,
     "plotly": {"report"},
     "pydantic": {"study"},
@@ -73,7 +75,7 @@ LIBRARIES = {
     "scipy": ANYWHERE,
     "typer": {"cli"},
 }
-HEAVY = {"casadi", "clarabel", "cvxpy", "matplotlib", "plotly", "scipy"}
+HEAVY = {"casadi", "clarabel", "cvxpy", "matplotlib", "numba", "plotly", "scipy"}
 
 LINE_LIMIT = 450
 

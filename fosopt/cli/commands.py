@@ -11,6 +11,7 @@ from typing import Annotated
 
 import typer
 
+from fosopt.cli import reproduce
 from fosopt.cli.guard import guarded, interruptible, say
 
 app = typer.Typer(
@@ -203,3 +204,6 @@ def export(
     write = {Format.CSV: writers.write_csv, Format.JSON: writers.write_json, Format.MAT: writers.write_mat}
     write[target](data, path)
     say(f"wrote {path}")
+
+
+app.command(help=reproduce.HELP, epilog=reproduce.EPILOG)(reproduce.reproduce)

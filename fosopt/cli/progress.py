@@ -21,23 +21,28 @@ Watch = Callable[["Progress"], None]
 
 @dataclass(frozen=True)
 class Goal:
-    """An objective: its text, and the name of its dimension where it has one."""
+    """An objective: its text, what people call it, and the name of its dimension where it has one."""
 
     name: str
+    label: str
     dimension: str | None
 
     def shown(self, value: float) -> str:
         """The objective with a value in the unit people read."""
         amount = f"{value:.6g}" if self.dimension is None else show(value, self.dimension)
-        return f"{self.name} {amount}"
+        return f"{self.label} {amount}"
 
 
 def goals(study: Study) -> tuple[Goal, ...]:
     """The objectives of a study."""
     from fosopt.study.schema_rules import expression_dimension
 
-    vectors = ((each.minimize.text, expression_dimension(study, each.minimize)) for each in study.objectives)
-    return tuple(Goal(text, None if vector is None else dimension_name(vector)) for text, vector in vectors)
+    found = []
+    for objective in study.objectives:
+        text, vector = objective.minimize.text, expression_dimension(study, objective.minimize)
+        dimension = None if vector is None else dimension_name(vector)
+        found.append(Goal(text, objective.label or text, dimension))
+    return tuple(found)
 
 
 class Tally:

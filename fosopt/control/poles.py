@@ -71,8 +71,15 @@ class ClosedLoopPoles:
         return self.open_loop.receptances(self.base, self.shift)
 
 
-def closed_loop_poles(loop: Loop, modes: ModalSet, mirror_port: str) -> ClosedLoopPoles:
+def closed_loop_poles(
+    loop: Loop, modes: ModalSet, mirror_port: str, near: ClosedLoopPoles | None = None
+) -> ClosedLoopPoles:
     """All closed-loop poles.    [Barker1991] Eq. (4.30)
+
+    Parameters
+    ----------
+    near
+        Poles of a loop that differs little, to start from.
 
     Raises
     ------
@@ -80,6 +87,10 @@ def closed_loop_poles(loop: Loop, modes: ModalSet, mirror_port: str) -> ClosedLo
         If neither Aberth's method nor the dense eigenvalue solver gives a complete set of poles.
     """
     open_loop = open_loop_poles(loop, modes, mirror_port)
+    if near is not None and np.array_equal(near.open_loop.first, open_loop.first):
+        followed = _aberth(loop, open_loop, near.base, near.shift, near.multiplicity)
+        if followed is not None and _complete(loop, open_loop, followed):
+            return followed
     base, shift, multiplicity = _start(loop, open_loop)
     found = _aberth(loop, open_loop, base, shift, multiplicity)
     if found is None or not _complete(loop, open_loop, found):

@@ -44,10 +44,13 @@ def reference_inertia(modes: ModalSet, port: str) -> float:
     return float(1 / np.sum(modes.at(port) ** 2))
 
 
-def modal_inertia(modes: ModalSet, port: str) -> Array:
-    """(n,) J̃_k = 1/φ_hk², infinite for a node at the port [kg m²].    [Barker1991] Eqs. (4.9), (4.16)"""
+def modal_inertia(modes: ModalSet, port: str, other: str | None = None) -> Array:
+    """(n,) J̃_k = 1/(φ_jk φ_ik) of two ports, or of one with itself, infinite for a node at either [kg m²].
+
+    [Barker1991] Eqs. (4.9), (4.16), (4.23), (4.24)
+    """
     with np.errstate(divide="ignore"):
-        return 1 / modes.at(port) ** 2
+        return 1 / (modes.at(port) * modes.at(other or port))
 
 
 def modal_reaction_inertia(coupled: CoupledModes, mirror: Mirror) -> Array:
@@ -125,7 +128,7 @@ def coupled_functionals(
     psi = phi / gap
     psi_slope = psi / gap
     g, g1, g2 = phi @ psi, phi @ psi_slope, 2 * phi @ (psi_slope / gap)
-    slope = secular_slope(mirror, lam, g, g1)
+    slope = secular_slope(k, lam, g, g1)
     curvature = -2 * k * g1 - lam * k * g2
     # The held hub's stiffness belongs to the rigid-body mode and moves with its mass.
     held = np.where(modes.rigid, modes.stiffness, 0.0)

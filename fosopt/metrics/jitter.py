@@ -118,6 +118,11 @@ def _by_quadrature(
     low, high = disturbance.counted
     cuts = disturbance.frequency if disturbance.frequency is not None else np.zeros(0)
     own = disturbance.filter.poles if disturbance.filter is not None else np.zeros(0, complex)
+    if poles.open_loop.drifting and low > 0:
+        # A free rigid body's drift falls as a power of the frequency, from the lower edge on: panels of a decade each.
+        slowest = np.abs(poles.all).min()
+        decades = int(max(np.ceil(np.log10(slowest / low)), 0)) + 1
+        cuts = np.concatenate([cuts, low * 10.0 ** np.arange(decades)])
     nodes, weights = resonance_quadrature(np.concatenate([poles.all - shift, own]), low, high, cuts)
     points = model.points(1j * nodes + shift)
     response = closed_loop_response(disturbance.at, model.loop, points.s, points.g)

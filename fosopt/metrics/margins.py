@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fosopt.control import ClosedLoopPoles, characteristic, loop_transfer
+from fosopt.control.phase import resonance_grid
 from fosopt.errors import SolverError
 from fosopt.metrics.functional import Functional, LoopModel
 from fosopt.metrics.inertias import ModalFunctional
@@ -17,7 +18,6 @@ from fosopt.ops import Array, ComplexArray
 _BISECTIONS = 60
 # A pole that rounding has put on its open-loop pole is looked at this far from it (relative).
 _LEAST_SHIFT = 1e-12
-_OFFSETS = np.sinh(np.linspace(-3.5, 3.5, 9))  # in half widths about each resonance
 _GRID = 120
 
 
@@ -29,14 +29,9 @@ def loop_transfer_slope(model: LoopModel, frequency: Array) -> tuple[ComplexArra
 
 def frequency_grid(model: LoopModel, poles: ClosedLoopPoles, count: int = _GRID) -> Array:
     """Ascending frequencies that resolve every closed- and open-loop resonance [rad/s]."""
-    ol = poles.open_loop
-    resonances = np.concatenate([poles.value, ol.first])
-    resonances = resonances[resonances.imag > 0]
-    local = resonances.imag[:, None] + np.abs(resonances.real)[:, None] * _OFFSETS
-    every = np.concatenate([np.abs(poles.value), np.abs(ol.first)])
-    every = every[every > 0]
-    broad = np.geomspace(0.1 * every.min(), 20 * every.max(), count)
-    return np.unique(np.concatenate([local.ravel()[local.ravel() > 0], broad]))
+    roots = np.concatenate([poles.value, poles.open_loop.first])
+    size = np.abs(roots[roots != 0])
+    return resonance_grid(roots, 0.1 * size.min(), 20 * size.max(), count)
 
 
 def modulus_margins(model: LoopModel, poles: ClosedLoopPoles, count: int) -> tuple[Array, list[Functional]]:

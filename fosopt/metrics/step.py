@@ -10,10 +10,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from fosopt.control import ClosedLoopPoles, closed_loop_response
+from fosopt.control import ClosedLoopPoles
 from fosopt.errors import ModelError, UnstableError
 from fosopt.metrics.functional import Functional, LoopModel
-from fosopt.metrics.jitter import gauss, pole_residues
+from fosopt.metrics.jitter import gauss
+from fosopt.metrics.transient import Transient, mean_exponential, step_error
 from fosopt.ops import Array, ComplexArray
 
 
@@ -45,28 +46,15 @@ def step_response(model: LoopModel, poles: ClosedLoopPoles, time: Array) -> Arra
     UnstableError
         If the loop is unstable.
     """
-    return 1 + _error(model, poles, time)
+    return 1 + _settling(model, poles)(time)
 
 
-def _error(model: LoopModel, poles: ClosedLoopPoles, time: Array) -> Array:
-    steady, amplitude = _terms(model, poles)
-    return steady + np.real(np.exp(np.outer(time, poles.value)) @ amplitude)
-
-
-def _terms(model: LoopModel, poles: ClosedLoopPoles) -> tuple[float, ComplexArray]:
-    """Steady error and (m,) amplitudes q_i of e(t) = steady + Re Σ q_i e^{p_i t} after a unit step."""
+def _settling(model: LoopModel, poles: ClosedLoopPoles) -> Transient:
     if not poles.spectral_abscissa < 0:
         raise UnstableError(
             f"closed loop is unstable: a pole has the real part {poles.spectral_abscissa:.6g} rad/s"
         )
-    amplitude = poles.multiplicity * pole_residues(model, poles, "command") / poles.value
-    steady = 0.0
-    if model.loop.controller.ki == 0:
-        # Without integral action the step leaves a steady error T(0) − 1.
-        near_zero = np.array([1e-9 + 0j])
-        static = closed_loop_response("command", model.loop, near_zero, model.points(near_zero).g)
-        steady = float(static[0].real) - 1
-    return steady, amplitude
+    return step_error(model, poles)
 
 
 def step_metrics(
@@ -80,19 +68,13 @@ def step_metrics(
         ``step_offset``: size of the mean error over the window; ``step_rms``: rms about that mean [rad].
     """
     start, end = step.window
-    steady, q = _terms(model, poles)
-    p = poles.value
+    error = _settling(model, poles)
+    p, q = error.pole, error.amplitude
+    mean, rms = error.mean(start, end), error.rms(start, end)
 
     def mean_of(z: ComplexArray) -> ComplexArray:
-        """Mean of e^{zt} over the window."""
-        whole = z * (end - start)
-        ratio = np.divide(np.expm1(whole), whole, out=np.ones_like(whole), where=whole != 0)
-        return np.exp(z * start) * ratio
+        return mean_exponential(z, start, end)
 
-    swing = float(np.real(q @ mean_of(p)))
-    mean = steady + swing
-    square = q @ mean_of(p[:, None] + p) @ q + q @ mean_of(p[:, None] + p.conj()) @ q.conj()
-    rms = max(float(0.5 * square.real - swing**2), 0.0) ** 0.5
     fastest = p[p.real > -40 / start]
     s, along = _path(np.abs(fastest.imag).max(initial=1 / start), start, end)
     # The error's mean weighted with e^{st}, by which a change of T(s)/s reaches the mean square.
@@ -101,7 +83,9 @@ def step_metrics(
     share = step.command * along / s
     points = model.points(s)
     offset = Functional("command", points, share * flat * np.sign(mean))
-    residual = Functional("command", points, share * (lifted - swing * flat) / max(rms, 1e-300))
+    residual = Functional(
+        "command", points, share * (lifted - (mean - error.steady) * flat) / max(rms, 1e-300)
+    )
     return {
         "step_offset": (step.command * abs(mean), offset),
         "step_rms": (step.command * rms, residual),

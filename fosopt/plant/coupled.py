@@ -20,24 +20,42 @@ from numpy.typing import NDArray
 from scipy import linalg
 
 from fosopt.actuators import Mirror
-from fosopt.errors import SolverError
 from fosopt.modes import ModalSet
 from fosopt.ops import Array
+from fosopt.plant.interlacing import falling_roots
 from fosopt.plant.matrices import CoupledMatrices
 
-_MAX_ITERATIONS = 200
 _TUNED = 1e-9
 _RIGID = 1e-12
 
 
-def secular(mirror: Mirror, eigenvalue: Any, g: Any) -> Any:
-    """F(λ) = ω_m² − λ (1 + k_m g), zero at a coupled mode.    [Barker1991] Eq. (4.18), [Golub1973]"""
-    return mirror.natural_frequency**2 - eigenvalue * (1 + mirror.stiffness * g)
-
-
-def secular_slope(mirror: Mirror, eigenvalue: Any, g: Any, g_slope: Any) -> Any:
+def secular_slope(stiffness: Any, eigenvalue: Any, g: Any, g_slope: Any) -> Any:
     """dF/dλ = −(1 + k_m g) − λ k_m dg/dλ; −1 over it is J̄_k.    [Barker1991] Eqs. (4.7), (4.10)"""
-    return -(1 + mirror.stiffness * g) - eigenvalue * mirror.stiffness * g_slope
+    return -(1 + stiffness * g) - eigenvalue * stiffness * g_slope
+
+
+def secular(stiffness: Any, constant: Any, base: Any, distance: Any, g: Any) -> Any:
+    """F(λ) = ω_m² − λ (1 + k_m g) at λ = base + distance, zero at a coupled mode.
+
+    Subtracted in this order, a mirror tuned to an uncoupled mode keeps the digits of its distance.
+    [Barker1991] Eq. (4.18), [Golub1973]
+
+    Parameters
+    ----------
+    constant
+        ω_m², and k_m φ² of a free rigid body, whose part of −λ k_m g is constant [rad²/s²].
+    g
+        The rest of Σ φ²/(λ̃ − λ).
+    """
+    return ((constant - base) - distance) - (base + distance) * stiffness * g
+
+
+def mirror_mode_index(poles: Array, natural_frequency: Any) -> Any:
+    """How many uncoupled eigenvalues count as below the mirror's: the place of its mode among those it moves.
+
+    A mode tuned to the mirror counts as one below it, as in the dissertation's case 2 (table 3.3).
+    """
+    return np.searchsorted(poles, np.square(natural_frequency) * (1 + _TUNED), side="right")
 
 
 @dataclass(frozen=True)
@@ -122,8 +140,7 @@ def coupled_modes(modes: ModalSet, mirror: Mirror, mirror_port: str) -> CoupledM
     moved = (shape2 > 0) & (uncoupled > 0)
     base, distance, reaction = _roots(mirror, uncoupled, shape2, moved)
     poles = uncoupled[moved]
-    # A mode tuned to the mirror counts as one below it, as in the dissertation's case 2 (table 3.3).
-    below = int(np.count_nonzero(poles <= mirror.natural_frequency**2 * (1 + _TUNED)))
+    below = int(mirror_mode_index(poles, mirror.natural_frequency))
     zero = np.insert(poles, below, np.nan)
     same = base == zero
     separation = np.where(same, distance, base + distance - zero) / zero
@@ -156,65 +173,25 @@ def _roots(
     top = (poles[-1] if poles.size else 0.0) + 2 * (wm2 + k * (shape2.sum())) + 1.0
     low, high = np.concatenate([[0.0], poles]), np.concatenate([poles, [top]])
 
-    def rest_and_poles(
-        base: Array, distance: Array, own: NDArray[np.intp]
-    ) -> tuple[Array, Array, Array, Array]:
-        """F without its own pole term, its slope, and the own term's numerator λ k φ² with g's slope."""
+    def terms(base: Array, distance: Array, own: NDArray[np.intp]) -> tuple[Array, Array, Array, Array]:
+        """F without its own pole term λ k φ²/(λ − λ̃), that numerator, and the slopes of both."""
         gap = (poles[None, :] - base[:, None]) - distance[:, None]
         rows = np.flatnonzero(own >= 0)
         gap[rows, own[rows]] = np.inf
         eigenvalue = base + distance
         g = (weight / gap).sum(axis=1)
         slope = (weight / gap**2).sum(axis=1)
-        # Subtracted this way, a mirror tuned to an uncoupled mode keeps the digits of its distance.
-        rest = ((constant - base) - distance) - eigenvalue * k * g
-        rest_slope = -(1 + k * g) - eigenvalue * k * slope
+        rest = secular(k, constant, base, distance, g)
+        rest_slope = secular_slope(k, eigenvalue, g, slope)
         strength = np.zeros(base.size)
         strength[rows] = k * weight[own[rows]]
-        return rest, rest_slope, strength, eigenvalue
+        return rest, rest_slope, eigenvalue * strength, strength
 
-    middle = 0.5 * (low + high)
-    n = low.size
-    none = np.full(n, -1)
-    with np.errstate(divide="ignore"):
-        at_middle = rest_and_poles(np.zeros(n), middle, none)[0]
-    # F falls through the interval: positive at the middle means the root is in the upper half.
-    upper = at_middle > 0
-    upper[-1] = False
-    own = np.where(upper, np.arange(n), np.arange(n) - 1)
-    base = np.where(upper, high, low)
-    inner, outer = (
-        np.zeros(n),
-        np.where(upper, -1.0, 1.0) * np.where(np.arange(n) == n - 1, high - low, 0.5 * (high - low)),
-    )
-    # h = distance·rest + λ k φ² has the root of F without its pole; it is rest itself where there is no pole.
-    distance = np.where(own >= 0, 0.0, 0.5 * outer)
-    for _ in range(_MAX_ITERATIONS):
-        rest, rest_slope, strength, eigenvalue = rest_and_poles(base, distance, own)
-        pole = own >= 0
-        value = np.where(pole, distance * rest + eigenvalue * strength, rest)
-        slope = np.where(pole, rest + distance * rest_slope + strength, rest_slope)
-        # Sign of F on this side of the root decides which end of the bracket moves.
-        sign = np.where(pole, np.where(upper, -1.0, 1.0) * value, value)
-        before = np.where(upper, sign < 0, sign > 0)
-        inner = np.where(before, distance, inner)
-        outer = np.where(before, outer, distance)
-        with np.errstate(divide="ignore", invalid="ignore"):
-            trial = distance - value / slope
-        lower_end, upper_end = np.minimum(inner, outer), np.maximum(inner, outer)
-        outside = ~((trial > lower_end) & (trial < upper_end))
-        trial = np.where(outside & (value != 0), 0.5 * (inner + outer), np.where(value == 0, distance, trial))
-        step = np.abs(trial - distance)
-        distance = trial
-        if np.all(step <= 1e-15 * np.abs(distance)):
-            break
-    else:
-        if np.any(step > 1e-12 * np.abs(distance)):
-            raise SolverError(
-                "coupled modes: a root of the secular equation does not settle; check the modal set"
-            )
+    count = poles.size
+    low_pole, high_pole = np.arange(-1, count), np.append(np.arange(count), -1)
+    base, distance = falling_roots(low, high, low_pole, high_pole, terms)
     gap = (poles[None, :] - base[:, None]) - distance[:, None]
     g = (weight / gap).sum(axis=1) - shape2[uncoupled == 0].sum() / (base + distance)
     g_slope = (weight / gap**2).sum(axis=1) + shape2[uncoupled == 0].sum() / (base + distance) ** 2
-    reaction = -1.0 / secular_slope(mirror, base + distance, g, g_slope)
+    reaction = -1.0 / secular_slope(k, base + distance, g, g_slope)
     return base, distance, reaction
