@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import reference
 
-from fosopt.control.second_order import second_order_state_space, structure_state_space
+from fosopt.control import second_order_state_space, structure_state_space
 from fosopt.control.time_response import time_response
 from fosopt.errors import ModelError
 from fosopt.modes import Damping, Hub, ModalSet, modal_frame, reduced_matrices

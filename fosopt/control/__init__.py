@@ -16,7 +16,14 @@ from fosopt.control.loop import (
 from fosopt.control.open_loop import OpenLoopPoles, open_loop_poles
 from fosopt.control.pid import PID, gain_for_crossover, pid_response
 from fosopt.control.poles import ClosedLoopPoles, closed_loop_poles
-from fosopt.control.state_space import StateSpace, closed_loop_state_space, modal_matrices, plant_state_space
+from fosopt.control.state_space import (
+    StateSpace,
+    closed_loop_state_space,
+    modal_matrices,
+    plant_state_space,
+    second_order_state_space,
+    structure_state_space,
+)
 
 __all__ = [
     "NUMERATORS",
@@ -40,5 +47,7 @@ __all__ = [
     "plant_impedance",
     "plant_state_space",
     "port_pairs",
+    "second_order_state_space",
+    "structure_state_space",
     "with_attachments",
 ]

@@ -8,7 +8,7 @@ mirror angle, mirror reaction mass, proof masses].
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -75,36 +75,76 @@ def plant_state_space(loop: Loop, modes: ModalSet, mirror_port: str) -> StateSpa
     """
     coupled = modal_matrices(loop, modes, mirror_port)
     size, n = coupled.mass.shape[0], modes.natural_frequency.size
-    a = np.zeros((2 * size, 2 * size))
-    a[:size, size:] = np.eye(size)
-    inertia = np.diag(coupled.mass)[:, None]
-    a[size:, :size], a[size:, size:] = -coupled.stiffness / inertia, -coupled.damping / inertia
-
-    on_mirror, on_hub = np.eye(size)[n], np.zeros(size)
+    on_mirror, on_hub, none = np.eye(size)[n], np.zeros(size), np.zeros(size)
     on_hub[:n] = modes.at("hub")
     loads = {"control_torque": coupled.control, "mirror_torque": on_mirror, "hub_torque": on_hub}
-    forces = {f"actuator_force_{k + 1}": row for k, row in enumerate(coupled.relative)}
-    b = np.zeros((2 * size, len(loads) + len(forces)))
-    b[size:] = np.column_stack([*loads.values(), *forces.values()]) / inertia
-    none = np.zeros(size)
-    outputs = {
+    motions = {
         "mirror_angle": np.append(on_mirror, none),
         "mirror_rate": np.append(none, on_mirror),
         "sensor_angle": np.append(coupled.sensor, none),
         "sensor_rate": np.append(none, coupled.sensor),
     }
     if coupled.counter is not None:
-        outputs["reaction_mass_angle"] = np.append(np.eye(size)[coupled.counter], none)
+        motions["reaction_mass_angle"] = np.append(np.eye(size)[coupled.counter], none)
     for k, row in enumerate(coupled.relative):
-        outputs[f"actuator_rate_{k + 1}"] = np.append(none, row)
-    return StateSpace(
-        a,
-        b,
-        np.array(list(outputs.values())),
-        np.zeros((len(outputs), b.shape[1])),
-        (*loads, *forces),
-        tuple(outputs),
-    )
+        loads[f"actuator_force_{k + 1}"] = row
+        motions[f"actuator_rate_{k + 1}"] = np.append(none, row)
+    return _first_order(coupled.mass, coupled.damping, coupled.stiffness, loads, motions)
+
+
+def second_order_state_space(
+    mass: Array, damping: Array, stiffness: Array, ports: Mapping[str, Array]
+) -> StateSpace:
+    """State space of M q̈ + C q̇ + K q = f with a load and a motion at each port.
+
+    The state is [q, q̇], the dissertation's two halves exchanged.    [Barker1991] Eqs. (2.51)-(2.54)
+
+    Parameters
+    ----------
+    mass, damping, stiffness
+        (n, n).
+    ports
+        Name to the (n,) row that reads a port's motion; its transpose applies the port's load.
+
+    Returns
+    -------
+    StateSpace
+        Inputs and outputs both carry the names of the ports.
+
+    Raises
+    ------
+    ModelError
+        If the mass matrix is singular.
+    """
+    motions = {name: np.append(row, np.zeros(mass.shape[0])) for name, row in ports.items()}
+    return _first_order(mass, damping, stiffness, ports, motions)
+
+
+def structure_state_space(modes: ModalSet, ports: Sequence[str]) -> StateSpace:
+    """State space of a modal set alone, with a load and a motion at each named port.
+
+    The state is [modal coordinates, their velocities].    [Barker1991] Eqs. (2.51)-(2.54)
+    """
+    matrices = (np.eye(modes.natural_frequency.size), np.diag(modes.damping), np.diag(modes.stiffness))
+    return second_order_state_space(*matrices, {port: modes.at(port) for port in ports})
+
+
+def _first_order(
+    mass: Array, damping: Array, stiffness: Array, loads: Mapping[str, Array], motions: Mapping[str, Array]
+) -> StateSpace:
+    """M q̈ + C q̇ + K q = Σ load as a system of first order, with rows of [q, q̇] as outputs."""
+    n = mass.shape[0]
+    columns = np.array(list(loads.values())).reshape(len(loads), n).T
+    try:
+        moved = np.linalg.solve(mass, np.hstack([stiffness, damping, columns]))
+    except np.linalg.LinAlgError as error:
+        raise ModelError("state space: the mass matrix is singular; every coordinate needs mass") from error
+    a = np.zeros((2 * n, 2 * n))
+    a[:n, n:] = np.eye(n)
+    a[n:] = -moved[:, : 2 * n]
+    b = np.vstack([np.zeros((n, len(loads))), moved[:, 2 * n :]])
+    c = np.array(list(motions.values())).reshape(len(motions), 2 * n)
+    return StateSpace(a, b, c, np.zeros((len(motions), len(loads))), tuple(loads), tuple(motions))
 
 
 def closed_loop_state_space(loop: Loop, modes: ModalSet, mirror_port: str) -> StateSpace:

@@ -6,7 +6,7 @@ from functools import cache
 
 import numpy as np
 
-from fosopt.control.second_order import structure_state_space
+from fosopt.control import structure_state_space
 from fosopt.control.time_response import time_response
 from fosopt.ops import Array
 from fosopt.reproduce import chapter2_system as system

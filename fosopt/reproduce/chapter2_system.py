@@ -15,8 +15,7 @@ from typing import Literal
 import numpy as np
 
 from fosopt.actuators import Mirror, MirrorReactionMass, Placement, ReactionMassActuator
-from fosopt.control import PID, Loop, StateSpace, plant_state_space
-from fosopt.control.second_order import second_order_state_space
+from fosopt.control import PID, Loop, StateSpace, plant_state_space, second_order_state_space
 from fosopt.control.state_space import modal_matrices
 from fosopt.modes import Damping, Hub, ModalFrame, ModalSet, modal_frame, reduced_matrices
 from fosopt.modes.added_mass import with_added_mass

@@ -136,9 +136,9 @@ def table_2_2() -> Reproduction:
     }
     claim = "mostly rotary inertia" if rotary > shear else "mostly shear flexibility"
     return Reproduction(
-        "Natural frequencies of the truss on its root table (FEM1, its mass and three springs fitted to its column) and on a "
-        "fixed root (FEM2), and of the equivalent beam. The longitudinal mode is the one whose shape pairs with the beam's "
-        "longitudinal mode by the modal assurance criterion.",
+        "Natural frequencies of the truss on its root table (FEM1, its mass and three springs fitted to its column) "
+        "and on a fixed root (FEM2), and of the equivalent beam. The longitudinal mode is the one whose shape pairs "
+        "with the beam's longitudinal mode by the modal assurance criterion.",
         "differs",
         f"FEM1 is within {_worst(columns['FEM1'])} and FEM2 within {_worst(columns['FEM2'])}: member stiffnesses and "
         "the split of the mass were not published and are fitted. "

@@ -23,9 +23,6 @@ class Printed(float):
         self.text = text
         return self
 
-    def __getnewargs__(self) -> tuple[str]:  # type: ignore[override]
-        return (self.text,)
-
 
 PUBLISHED: dict[str, Any] = tomllib.loads(
     (files("fosopt.reproduce") / "published.toml").read_text(encoding="utf-8"), parse_float=Printed
