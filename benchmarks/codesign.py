@@ -79,7 +79,8 @@ def codesign_problem() -> Problem:
     inertia = 0.002 * float(structure_inertia(structure, structure.area, structure.batten_mass))
     mirror = Mirror(inertia, MIRROR_FREQUENCY, MIRROR_DAMPING)
     gain = gain_for_crossover(CROSSOVER, mirror, KP, KI, KD, 0.0)
-    base = Design(structure.area, structure.batten_mass, MIRROR_MASS, Loop(mirror, PID(gain, KP, KI, KD)))
+    sizes = structure.area, structure.batten_mass, structure.spring_stiffness
+    base = Design(*sizes, MIRROR_MASS, Loop(mirror, PID(gain, KP, KI, KD)))
     system = System(
         structure,
         "tip",

@@ -216,7 +216,7 @@ def _truncation_error(
 
 def _mode_residual(frame: ModalFrame, truth: Evaluation) -> float:
     design, structure = truth.design, truth.system.structure
-    k = stiffness_matrix(structure, design.area)
+    k = stiffness_matrix(structure, design.area, design.spring_stiffness)
     m = mass_matrix(structure, design.area, design.batten_mass, design.mirror_mass)
     residual = k @ frame.shapes - m @ frame.shapes * frame.eigenvalue
     size = frame.eigenvalue[-1] * np.linalg.norm(m @ frame.shapes, axis=0)
@@ -299,7 +299,7 @@ def _dense_responses(truth: Evaluation, frequencies: Array, at: str) -> ComplexA
     """(m,) Line-of-sight response to one input, by a dense solve at each frequency."""
     design, structure, frame = truth.design, truth.system.structure, truth.frame
     modes, loop = truth.all_modes, design.loop
-    k = stiffness_matrix(structure, design.area)
+    k = stiffness_matrix(structure, design.area, design.spring_stiffness)
     m = mass_matrix(structure, design.area, design.batten_mass, design.mirror_mass)
     momentum = m @ frame.shapes
     k = k + (momentum * np.where(modes.rigid, modes.stiffness, 0.0)) @ momentum.T

@@ -275,7 +275,10 @@ class _OracleJacobian(ca.Callback):
 
 @dataclass(frozen=True)
 class StructureFunctions:
-    """Mass, stiffness and inertia of a structure as CasADi functions of (area, batten_mass, mirror_mass)."""
+    """Mass, stiffness and inertia of a structure as CasADi functions of its parameters and the mirror's mass.
+
+    These are (area, batten_mass, spring_stiffness, mirror_mass), in this order.
+    """
 
     stiffness_matrix: ca.Function
     mass_matrix: ca.Function
@@ -287,14 +290,16 @@ def structure_functions(structure: Structure) -> StructureFunctions:
     """CasADi functions of a structure; K and M are affine, so their Jacobians are constant."""
     area = ca.SX.sym("area", len(structure.truss.bars))
     batten_mass = ca.SX.sym("batten_mass", len(structure.truss.battens))
+    spring_stiffness = ca.SX.sym("spring_stiffness", len(structure.truss.springs))
     mirror_mass = ca.SX.sym("mirror_mass")
-    inputs, names = [area, batten_mass, mirror_mass], ["area", "batten_mass", "mirror_mass"]
+    inputs = [area, batten_mass, spring_stiffness, mirror_mass]
+    names = ["area", "batten_mass", "spring_stiffness", "mirror_mass"]
 
     def function(name: str, expression: Any) -> ca.Function:
         return ca.Function(name, inputs, [expression], names, [name])
 
     return StructureFunctions(
-        function("stiffness_matrix", stiffness_matrix(structure, area)),
+        function("stiffness_matrix", stiffness_matrix(structure, area, spring_stiffness)),
         function("mass_matrix", mass_matrix(structure, area, batten_mass, mirror_mass)),
         function("structural_mass", structural_mass(structure, area, batten_mass)),
         function("structure_inertia", structure_inertia(structure, area, batten_mass)),

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import tomllib
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from functools import cache
 from math import pi
 from pathlib import Path
@@ -40,6 +41,7 @@ MIRROR_MASS = DISSERTATION["section_2_2"]["total_mass"] * 7 / 3
 HELD = Hub("held", 0.1 * HZ, 0.7)
 DAMPING = Damping((CHAPTER_4["structure_damping"],))
 PORTS = ("hub", "tip")
+STATIONS = tuple(f"r{i}" for i in range(21))
 
 DISTURBANCES = (
     Disturbance("cooling", "mirror_torque", low_pass(8.5 * HZ, 0.02)),
@@ -58,6 +60,14 @@ def structure(boundary: str = "pinned", bays: int = 20) -> Structure:
 def frame(of: Structure, mirror_mass: float = MIRROR_MASS, rotation: str = "tip") -> ModalFrame:
     """Modes at the start design."""
     return modal_frame(of, of.area, of.batten_mass, mirror_mass, rotation)
+
+
+@cache
+def stations() -> ModalFrame:
+    """The pinned truss with the mirror's port at its tip and one at every batten, r0 to r20."""
+    truss = barker_truss("pinned")
+    ports = truss.ports | {name: (f"B{i}", "rz") for i, name in enumerate(STATIONS)}
+    return frame(assemble(replace(truss, ports=ports), "tip"))
 
 
 def inertia_of(of: Structure) -> float:
@@ -95,7 +105,7 @@ def system_and_design(
     loop: Loop | None = None,
     **parts: Any,
 ) -> tuple[System, Design]:
-    """The reference system with a disturbance at each input; `seed` scatters areas and batten masses."""
+    """The reference system with a disturbance at each input; `seed` scatters its members."""
     of = structure(boundary, bays)
     given = {
         "hub": HELD,
@@ -106,12 +116,13 @@ def system_and_design(
     system = System(of, "tip", **(given | parts))
     if loop is None:
         loop = loop_of(mirror_of(of, percent), rolloff_time)
-    area, batten_mass = of.area, of.batten_mass
+    area, batten_mass, spring_stiffness = of.area, of.batten_mass, of.spring_stiffness
     if seed is not None:
         rng = np.random.default_rng(seed)
         area = area * rng.uniform(0.5, 2.0, area.size)
         batten_mass = batten_mass * rng.uniform(0.8, 1.2, batten_mass.size)
-    return system, Design(area, batten_mass, mirror_mass, loop)
+        spring_stiffness = spring_stiffness * rng.uniform(0.5, 2.0, spring_stiffness.size)
+    return system, Design(area, batten_mass, spring_stiffness, mirror_mass, loop)
 
 
 def evaluation(**options: Any) -> Evaluation:

@@ -68,7 +68,8 @@ def truss_problem(
     mirror = mirror_of(of, percent)
     gain = float(gain_for_crossover(crossover, mirror, 600.0, 50e3, 1.0, 0.0))
     system = System(of, "tip", HELD, Damping((damping,)), disturbances, **parts)
-    base = Design(of.area, of.batten_mass, 7 / 3 * 108.3, Loop(mirror, PID(gain, 600.0, 50e3, 1.0)))
+    loop = Loop(mirror, PID(gain, 600.0, 50e3, 1.0))
+    base = Design(of.area, of.batten_mass, of.spring_stiffness, 7 / 3 * 108.3, loop)
     variables = (
         areas_by_kind(of, log=log),
         variable("crossover", 20 * HZ, 500 * HZ, crossover, log=log),
@@ -133,10 +134,10 @@ def rod_problem(bound: float = 1000.0, log: bool = True, objective: str = "struc
         Disturbance("torque", "mirror_torque", white(sqrt(2 * TORQUE_INTENSITY))),
         Disturbance("noise", "sensor_noise", white(sqrt(2 * NOISE_INTENSITY))),
     )
-    mirror = Mirror(MIRROR_INERTIA, MIRROR_FREQUENCY, 0.0)
+    loop = Loop(Mirror(MIRROR_INERTIA, MIRROR_FREQUENCY, 0.0), PID(200.0, 10.0, 0.0, 1.0))
     return Problem(
         System(of, "tip", Hub("fixed"), Damping((0.01,)), disturbances),
-        Design(of.area, of.batten_mass, MIRROR_MASS, Loop(mirror, PID(200.0, 10.0, 0.0, 1.0))),
+        Design(of.area, of.batten_mass, of.spring_stiffness, MIRROR_MASS, loop),
         (
             variable("area", 1e-5, 1e-3, 1e-4, groups=((0,),), labels=("rod",), log=log),
             variable("gain", 1, 1e5, 200, log=log),

@@ -38,14 +38,14 @@ def system_and_design(name: str) -> tuple[System, Design]:
     loop = reference.loop_of(reference.mirror_of(structure, 0.3), 1e-4)
     step = StepCommand(1e-6, (0.05, 0.1))
     system = System(structure, "tip", hub, reference.DAMPING, reference.DISTURBANCES, step)
-    return system, Design(structure.area, structure.batten_mass, 50.0, loop)
+    return system, Design(structure.area, structure.batten_mass, structure.spring_stiffness, 50.0, loop)
 
 
 @pytest.mark.parametrize("name", STRUCTURES)
 def test_gradients_over_the_mirror_and_the_loop_are_those_of_central_differences(name: str) -> None:
     system, design = system_and_design(name)
     base = design.parameters
-    assert design.area.shape == design.batten_mass.shape == (0,)
+    assert design.area.shape == design.batten_mass.shape == design.spring_stiffness.shape == (0,)
     evaluation = Evaluation(system, design)
     assert evaluation.stable
     names: list[tuple[str, int | None]] = [(metric, None) for metric in system.metric_names]
@@ -73,7 +73,7 @@ def test_gradients_over_the_mirror_and_the_loop_are_those_of_central_differences
 def test_numbers_and_symbols_give_the_same_matrices_mass_and_inertia(name: str) -> None:
     structure: Structure = STRUCTURES[name][0]
     functions = structure_functions(structure)
-    given = (NONE, NONE, 50.0)
+    given = (NONE, NONE, NONE, 50.0)
     for symbolic, number in (
         (functions.stiffness_matrix, stiffness_matrix(structure, NONE)),
         (functions.mass_matrix, mass_matrix(structure, NONE, NONE, 50.0)),

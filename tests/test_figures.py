@@ -243,7 +243,7 @@ def test_the_same_panels_give_the_same_bytes_in_another_process(request):
     here = [
         f"{kind} {hashlib.sha256(data).hexdigest()}" for kind, data in sorted(picture(bode()).files.items())
     ]
-    with mpl.rc_context({"font.size": 20, "lines.linewidth": 5}):
+    with mpl.rc_context({"font.size": 20, "axes.facecolor": "red"}):
         changed = picture(bode())
     tests = str(request.path.parent)
     done = subprocess.run(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from itertools import pairwise
 from math import inf
 
 import numpy as np
@@ -85,6 +86,11 @@ CONFIGURATIONS = {
         },
         (),
     ),
+    "root table": (NO_STEP | {"boundary": "table", "hub": Hub("free")}, INDEXED),
+    "root table, lowest modes": (
+        NO_STEP | {"boundary": "table", "hub": Hub("free"), "selection": ModeSelection(count=6)},
+        OWN,
+    ),
 }
 
 
@@ -96,12 +102,14 @@ def case(seed, ki=None, boundary="pinned", rolloff_time=1e-4, percent=1.0, **opt
 
 
 def directions(design, rng, apart=False):
-    """Random relative changes of areas, of batten masses and of the loop, its parameters together or apart."""
+    """Random relative changes of each kind of member and of the loop, its parameters together or apart."""
     p = design.parameters
-    b, r = design.area.size, design.batten_mass.size
-    loop = [slice(i, i + 1) for i in range(b + r, p.size)] if apart else [slice(b + r, p.size)]
+    sizes = design.area.size, design.batten_mass.size, design.spring_stiffness.size
+    *ends, first = np.cumsum([0, *sizes])
+    members = [slice(a, b) for a, b in pairwise([*ends, first])]
+    loop = [slice(i, i + 1) for i in range(first, p.size)] if apart else [slice(first, p.size)]
     found = []
-    for part in (slice(0, b), slice(b, b + r), *loop):
+    for part in (*members, *loop):
         direction = np.zeros(p.size)
         direction[part] = p[part] * rng.normal(size=p[part].size)
         if direction.any():
@@ -192,7 +200,9 @@ def test_a_mode_the_loop_does_not_see_gives_the_gradient_of_its_own_decay():
     mirror = replace(reference.mirror_of(reference.structure(), 0.2), inertia=0.02)
     damping = Damping((0.001, 0.02), (10.0, 3000.0))
     system = System(structure, "tip", Hub("fixed"), damping, (COOLING,))
-    design = Design(structure.area, structure.batten_mass, 50.0, reference.loop_of(mirror))
+    design = Design(
+        structure.area, structure.batten_mass, structure.spring_stiffness, 50.0, reference.loop_of(mirror)
+    )
     evaluation = Evaluation(system, design)
     modes = evaluation.modes
     slow = int(np.argmin(modes.damping))
@@ -215,7 +225,9 @@ def test_a_mirror_on_held_ground_leaves_all_modes_alone_and_the_slowest_kept_dec
     # The first mode is damped so well that a later one decays more slowly.
     damping = Damping((0.05, 0.001))
     system = System(structure, "tip", Hub("fixed"), damping, (), selection=selection)
-    design = Design(structure.area, structure.batten_mass, 50.0, reference.loop_of(mirror))
+    design = Design(
+        structure.area, structure.batten_mass, structure.spring_stiffness, 50.0, reference.loop_of(mirror)
+    )
     evaluation = Evaluation(system, design)
     value, gradient = evaluation.metric("spectral_abscissa")
     slowest = 2 if keep is None else 1
@@ -268,7 +280,7 @@ def crossing():
         (COOLING, AIR, SENSOR),
         StepCommand(1e-6, (0.05, 0.1)),
     )
-    design = Design(structure.area, structure.batten_mass, 50.0, loop)
+    design = Design(structure.area, structure.batten_mass, structure.spring_stiffness, 50.0, loop)
     rng = np.random.default_rng(4)
     direction = np.zeros(design.parameters.size)
     direction[: structure.area.size] = structure.area * rng.normal(size=structure.area.size)

@@ -266,9 +266,15 @@ def test_bounds_and_start_of_the_problem_are_those_of_its_variables_in_order(pro
 
 @pytest.mark.parametrize(
     ("quantity", "discipline"),
-    [("area", "structure"), ("batten_mass", "structure"), ("mirror_inertia", "control"), ("kp", "control")],
+    [
+        ("area", "structure"),
+        ("batten_mass", "structure"),
+        ("spring_stiffness", "structure"),
+        ("mirror_inertia", "control"),
+        ("kp", "control"),
+    ],
 )
-def test_areas_and_batten_masses_belong_to_the_structure_all_else_to_the_loop(quantity, discipline):
+def test_what_members_have_belongs_to_the_structure_all_else_to_the_loop(quantity, discipline):
     assert variable(quantity, 1, 3, 2).discipline == discipline
 
 

@@ -11,6 +11,9 @@ import os
 import pickle
 import re
 import signal
+import subprocess
+import sys
+import time
 from concurrent.futures import BrokenExecutor, Future
 from html.parser import HTMLParser
 from pathlib import Path
@@ -428,18 +431,24 @@ def test_an_unknown_name_is_code_3_and_one_line(fakes):
 
 
 def test_a_folder_that_cannot_be_written_is_code_3_before_anything_is_computed(fakes):
-    def never() -> Reproduction:
-        raise AssertionError
+    calls = []
 
-    fakes(Entry("figure-3.20", "x", never))
+    def counted() -> Reproduction:
+        calls.append(1)
+        return FIGURE.compute()
+
+    fakes(Entry("figure-3.20", "x", counted))
     Path("file").touch()
+    Path("taken/index.html").mkdir(parents=True)
     for target in ("file", "file/below"):
         result = invoke("--out", target)
         assert (result.exit_code, result.stderr.count("\n")) == (3, 1)
         assert result.stderr.startswith(f"fosopt: {target}: ")
-    result = invoke("--page", "nowhere/page.md")
-    assert (result.exit_code, result.stderr.count("\n")) == (3, 1)
-    assert "nowhere" in result.stderr
+    for options, culprit in ((("--out", "taken"), "index.html"), (("--page", "nowhere/page.md"), "nowhere")):
+        result = invoke(*options)
+        assert (result.exit_code, result.stderr.count("\n")) == (3, 1)
+        assert culprit in result.stderr
+    assert calls == []
 
 
 def test_the_page_option_draws_nothing(fakes):
@@ -479,3 +488,58 @@ def test_ctrl_c_ends_after_the_entry_at_hand(fakes):
     assert result.stdout.endswith("left page.md as it was\n")
     assert sorted(path.name for path in Path().iterdir()) == ["page.md", "there"]
     assert Path("page.md").read_text(encoding="utf-8") == "old"
+
+
+SLOW = """
+import sys, time
+sys.path[:0] = sys.argv[1:3]
+from fake_reproduction import FIGURE
+from fosopt.cli.commands import app
+from fosopt.reproduce import catalogue
+from fosopt.reproduce.entry import Entry
+
+def slow():
+    time.sleep(0.2)
+    return FIGURE.compute()
+
+entries = [Entry(f"figure-3.{k}", "slow", slow) for k in range(1, 100)]
+catalogue.catalogue = lambda: catalogue.joined(entries)
+app(["reproduce", "--out", sys.argv[3]], prog_name="fosopt")
+"""
+
+
+@pytest.fixture
+def drawing(tmp_path):
+    """A reproduction in a session of its own, of which something is drawn already."""
+    here = Path(__file__).parent
+    process = subprocess.Popen(
+        [sys.executable, "-c", SLOW, here, here.parent, tmp_path / "out"],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        start_new_session=True,
+    )
+    assert process.stderr.readline().startswith("[1/99] figure-3.1: matches")
+    yield process
+    process.kill()
+    process.communicate()
+
+
+def test_ctrl_c_at_a_terminal_reaches_the_drawing_processes_and_leaves_them_alone(drawing, tmp_path):
+    os.killpg(drawing.pid, signal.SIGINT)
+    stdout, stderr = drawing.communicate(timeout=60)
+    assert drawing.returncode == 130
+    assert "Traceback" not in stderr
+    assert "failed" not in stdout
+    assert "Interrupted" in (tmp_path / "out" / "index.html").read_text(encoding="utf-8")
+
+
+@pytest.mark.skipif(not Path("/proc/self/task").exists(), reason="only Linux lists the children of a process")
+def test_drawing_processes_end_with_the_one_that_started_them(drawing):
+    children = Path(f"/proc/{drawing.pid}/task/{drawing.pid}/children").read_text(encoding="utf-8").split()
+    assert children
+    drawing.kill()
+    deadline = time.monotonic() + 30
+    while any(Path("/proc", child).exists() for child in children):
+        assert time.monotonic() < deadline
+        time.sleep(0.05)

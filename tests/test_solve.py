@@ -86,7 +86,7 @@ def test_the_lightest_truss_of_a_given_frequency_is_that_of_another_solver():
     bound, mirror_mass = 50 * HZ, 20.0
     problem = Problem(
         System(of, "tip", Hub("fixed"), Damping((0.01,))),
-        Design(of.area, of.batten_mass, mirror_mass, loop_of(mirror_of(of, 0.2))),
+        Design(of.area, of.batten_mass, of.spring_stiffness, mirror_mass, loop_of(mirror_of(of, 0.2))),
         (areas_by_kind(of),),
         expressions("structural_mass"),
         (limit("first_elastic_frequency", lower=bound),),
@@ -237,7 +237,7 @@ def test_two_frequencies_that_meet_at_the_optimum_share_the_bound():
     bound = 60 * HZ
     problem = Problem(
         System(of, "tip", Hub("fixed"), Damping((0.01,))),
-        Design(of.area, of.batten_mass, 5.0, loop_of(mirror_of(structure(), 0.02))),
+        Design(of.area, of.batten_mass, of.spring_stiffness, 5.0, loop_of(mirror_of(structure(), 0.02))),
         (area,),
         expressions("structural_mass"),
         (limit("first_elastic_frequency", lower=bound),),

@@ -274,10 +274,11 @@ def nonminimum_phase_excess(
 
         a = k_m (1/J̃_rh − 1/J̃_rr) − ω̃_k²,    b = c_m (1/J̃_rh − 1/J̃_rr) − 2ζ̃_k ω̃_k.
 
-    The dissertation's condition is a > 0: one real zero ±√a in the right half plane. Without damping it is necessary
-    as well as sufficient; with damping b > 0 suffices too, for a complex pair, and often comes first as the mirror
-    grows. Both are conditions on the single-mode expansion only: with all modes in the sum, zeros may lie in the right
-    half plane though no mode fulfills the condition, and none though the first does; `plant.mirror_zeros` tells.
+    The dissertation's condition is a > 0: one real zero in the right half plane, √a without damping, where it is
+    necessary as well as sufficient. With damping b > 0 suffices too, for a complex pair, and comes first as the mirror
+    grows in every mode above ω_m ζ̃_k/ζ_m. All this holds for the single-mode expansion. With all modes in the sum
+    zeros may lie in the right half plane though no mode fulfills a condition, and none though the first does;
+    `plant.mirror_zeros` tells.
     [Barker1991] Eqs. (4.23), (4.24), (4.27)
 
     Returns

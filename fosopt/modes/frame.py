@@ -100,12 +100,22 @@ class ModalFrame:
 
 
 def modal_frame(
-    structure: Structure, area: Array, batten_mass: Array, mirror_mass: float, rotation: str
+    structure: Structure,
+    area: Array,
+    batten_mass: Array,
+    mirror_mass: float,
+    rotation: str,
+    spring_stiffness: Array | None = None,
 ) -> ModalFrame:
     """Solve K φ = ω² M φ for all modes at one design.    [Barker1991] Eq. (2.31)
 
     Rigid-body eigenvalues are set to zero exactly. In a repeated eigenspace the basis is turned so that one
     mode alone moves the port `rotation`: the others are exactly unobservable there.
+
+    Parameters
+    ----------
+    spring_stiffness
+        (s,) Of the springs to ground; by default those the structure was assembled with [N/m], [N m/rad].
 
     Raises
     ------
@@ -114,14 +124,17 @@ def modal_frame(
         the hub.
     """
     k_rows, m_rows = structure.stiffness_rows, structure.mass_rows
+    if spring_stiffness is None:
+        spring_stiffness = structure.spring_stiffness
     for what, values in (
         ("area", area),
         ("batten_mass", batten_mass),
+        ("spring_stiffness", spring_stiffness),
         ("mirror_mass", np.atleast_1d(mirror_mass)),
     ):
         if not np.all(values >= 0):
             raise ModelError(f"{what}: {values.min():g} is negative or not a number; give zero or more")
-    k = stiffness_matrix(structure, area)
+    k = stiffness_matrix(structure, area, spring_stiffness)
     m = mass_matrix(structure, area, batten_mass, mirror_mass)
     try:
         eigenvalue, shapes = linalg.eigh(k, m, driver="gvd")

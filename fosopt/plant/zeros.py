@@ -94,7 +94,9 @@ def mirror_zeros(
 
     A bicollocated mirror has the poles of the structure without it, exactly, whatever its inertia. One that reacts
     elsewhere than its spring has the zeros of 1 + κ(s)(g_rr − g_rh), κ = c_m s + k_m: the poles of the structure on
-    which a still mirror's spring and damper, moved by port r, push on port h what they pull from port r.
+    which a still mirror's spring and damper, moved by port r, push on port h what they pull from port r. Without
+    damping, φ_rk (φ_rk − φ_hk) of one sign over all modes leaves them on the two axes, a real pair appearing when the
+    static 1 + k_m (g_rr − g_rh) falls below zero; both signs also give quadruples.
 
     Parameters
     ----------

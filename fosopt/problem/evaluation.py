@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
@@ -28,6 +29,22 @@ BRANCHES = {"first_elastic_frequency": 4, "modulus_margin": 6, "spectral_absciss
 Valued = tuple[float, Array]
 
 
+@dataclass(frozen=True)
+class _Found:
+    """A metric whose gradient, by far the dearer part, is computed when first asked for."""
+
+    value: float
+    make_gradient: Callable[[], Array]
+
+    @cached_property
+    def gradient(self) -> Array:
+        return self.make_gradient()
+
+    @property
+    def valued(self) -> Valued:
+        return self.value, self.gradient
+
+
 class Evaluation:
     """A system at one design: modes, poles, metrics and gradients, each computed once when first asked for.
 
@@ -42,14 +59,30 @@ class Evaluation:
 
     def __init__(self, system: System, design: Design, shift: float = 0.0) -> None:
         self.system, self.design, self.shift = system, design, shift
-        self._known: dict[tuple[str, int | None], Valued] = {}
+        self._known: dict[tuple[str, int | None], _Found] = {}
+        self._near: ClosedLoopPoles | None = None
+
+    def neighbor(self, design: Design) -> Evaluation:
+        """Evaluation of a design that differs in mirror and controller only: it shares the modes of this one.
+
+        Its poles are found from those of this one where these are known.
+        """
+        beside = Evaluation(self.system, design, self.shift)
+        beside.frame, beside.all_modes, beside.kept, beside.modes = (
+            self.frame,
+            self.all_modes,
+            self.kept,
+            self.modes,
+        )
+        beside._near = self.__dict__.get("poles", self._near)
+        return beside
 
     @cached_property
     def frame(self) -> ModalFrame:
         """Eigenbasis of the structure."""
-        d = self.design
+        d, system = self.design, self.system
         return modal_frame(
-            self.system.structure, d.area, d.batten_mass, d.mirror_mass, self.system.mirror_port
+            system.structure, d.area, d.batten_mass, d.mirror_mass, system.mirror_port, d.spring_stiffness
         )
 
     @cached_property
@@ -86,7 +119,7 @@ class Evaluation:
     @cached_property
     def poles(self) -> ClosedLoopPoles:
         """Closed-loop poles."""
-        return closed_loop_poles(self.design.loop, self.modes, self.system.mirror_port)
+        return closed_loop_poles(self.design.loop, self.modes, self.system.mirror_port, self._near)
 
     @property
     def stable(self) -> bool:
@@ -94,8 +127,8 @@ class Evaluation:
         return self.poles.spectral_abscissa < 0
 
     def value(self, name: str, index: int | None = None) -> float:
-        """Value of a metric, SI units."""
-        return self.metric(name, index)[0]
+        """Value of a metric, SI units, without the work of its gradient; raises what `metric` raises."""
+        return self._found(name, index).value
 
     def metric(self, name: str, index: int | None = None) -> Valued:
         """Value of a metric and its gradient over `Design.parameters`.
@@ -112,6 +145,9 @@ class Evaluation:
         UnstableError
             For jitter and step metrics of an unstable loop.
         """
+        return self._found(name, index).valued
+
+    def _found(self, name: str, index: int | None) -> _Found:
         key = (name, index)
         if key not in self._known:
             self._known[key] = self._compute(name, index)
@@ -121,10 +157,10 @@ class Evaluation:
         """The outermost branches of a metric that is a least or a largest one, for constraints."""
         if name == "first_elastic_frequency":
             elastic = np.flatnonzero(self.frame.eigenvalue > 0)[: BRANCHES[name]]
-            return [self._frequency(int(k)) for k in elastic]
-        return self._margins if name == "modulus_margin" else self._decays
+            return [self._frequency(int(k)).valued for k in elastic]
+        return [each.valued for each in (self._margins if name == "modulus_margin" else self._decays)]
 
-    def _compute(self, name: str, index: int | None) -> Valued:
+    def _compute(self, name: str, index: int | None) -> _Found:
         if name in INDEXED:
             if index is None:
                 raise ModelError(f"metric '{name}' needs the number of a mode, such as {name}[1]")
@@ -147,63 +183,66 @@ class Evaluation:
             return self._frequency(self.frame.n_rigid)
         if name == "reference_inertia":
             value = inertias.reference_inertia(self.modes, self.system.mirror_port)
-            change = inertias.reference_inertia_functional(
-                self.frame, self.all_modes, self.kept, self.system.mirror_port
+            return _Found(
+                value,
+                lambda: self._modal_gradient(
+                    inertias.reference_inertia_functional(
+                        self.frame, self.all_modes, self.kept, self.system.mirror_port
+                    )
+                ),
             )
-            return value, self._modal_gradient(change)
         if name == "loop_crossover":
             frequency, functional = margins.crossover(self.model, self.poles)
-            return frequency, self._loop_gradient([functional])
+            return _Found(frequency, lambda: self._loop_gradient([functional]))
         if name == "spectral_abscissa":
             return self._decays[0]
         return self._rigid(name)
 
     @cached_property
-    def _decays(self) -> list[Valued]:
-        port, damping = self.system.mirror_port, self.system.damping
-        decays = []
-        for real, functional in margins.rightmost_poles(
-            self.model, self.poles, BRANCHES["spectral_abscissa"]
-        ):
-            if functional is not None:
-                decays.append((real, self._loop_gradient([functional])))
-                continue
-            hidden = margins.decay_functional(
-                self.frame.eigenvalue, self.all_modes, damping, port, self.kept, real
-            )
-            decays.append((real, self._modal_gradient(hidden)))
-        return decays
+    def _decays(self) -> list[_Found]:
+        rightmost = margins.rightmost_poles(self.model, self.poles, BRANCHES["spectral_abscissa"])
+        return [_Found(real, lambda each=(real, f): self._decay_gradient(*each)) for real, f in rightmost]
 
-    def _rigid(self, name: str) -> Valued:
+    def _decay_gradient(self, real: float, functional: Functional | None) -> Array:
+        if functional is not None:
+            return self._loop_gradient([functional])
+        port, damping = self.system.mirror_port, self.system.damping
+        hidden = margins.decay_functional(
+            self.frame.eigenvalue, self.all_modes, damping, port, self.kept, real
+        )
+        return self._modal_gradient(hidden)
+
+    def _rigid(self, name: str) -> _Found:
         """Masses and inertias, which need no modes: linear in the structure's parameters."""
         structure, d = self.system.structure, self.design
         b, r = d.area.size, d.batten_mass.size
-        gradient = np.zeros(b + r + len(LOOP_PARAMETERS))
+        gradient = np.zeros(d.parameters.size)
         if name in ("structural_mass", "total_mass"):
             gradient[:b] = structure.bar_mass_per_area
             gradient[b : b + r] = 1.0
             mass = float(structural_mass(structure, d.area, d.batten_mass))
             proof = sum(a.mass for a in d.loop.actuators if not a.rotary)
-            return (mass + d.mirror_mass + proof if name == "total_mass" else mass), gradient
+            return _Found(mass + d.mirror_mass + proof if name == "total_mass" else mass, lambda: gradient)
         inertia = float(structure_inertia(structure, d.area, d.batten_mass))
         arm2 = structure.hub_arm**2
         gradient[:b] = structure.mass_by_area.T @ arm2
         gradient[b : b + r] = structure.mass_by_batten.T @ arm2
         if name == "structure_inertia":
-            return inertia, gradient
+            return _Found(inertia, lambda: gradient)
         own = np.zeros_like(gradient)
-        own[b + r] = 1.0
+        own[-len(LOOP_PARAMETERS)] = 1.0
         mirror = float(d.loop.mirror.inertia)
         if name == "mirror_inertia":
-            return mirror, own
-        return mirror / inertia, own / inertia - mirror / inertia**2 * gradient
+            return _Found(mirror, lambda: own)
+        return _Found(mirror / inertia, lambda: own / inertia - mirror / inertia**2 * gradient)
 
-    def _frequency(self, mode: int) -> Valued:
+    def _frequency(self, mode: int) -> _Found:
         value = float(np.sqrt(self.frame.eigenvalue[mode]))
-        stiffness, mass = self.frame.eigenvalue_gradient(mode)
-        return value, self._weights_gradient(stiffness, mass) / (2 * value)
+        return _Found(
+            value, lambda: self._weights_gradient(*self.frame.eigenvalue_gradient(mode)) / (2 * value)
+        )
 
-    def _modal(self, name: str, index: int) -> Valued:
+    def _modal(self, name: str, index: int) -> _Found:
         own = name in ("structure_frequency", "modal_inertia")
         count = self.modes.natural_frequency.size + (0 if own else 1)
         if not 1 <= index <= count:
@@ -214,68 +253,79 @@ class Evaluation:
             mode = int(self.kept[k])
             if name == "structure_frequency":
                 if self.frame.eigenvalue[mode] == 0:
-                    return float(self.modes.natural_frequency[k]), np.zeros(self.design.parameters.size)
+                    return _Found(float(self.modes.natural_frequency[k]), self._no_gradient)
                 return self._frequency(mode)
-            value = float(inertias.modal_inertia(self.modes, port)[k])
-            functional = inertias.modal_inertia_functional(self.frame, self.all_modes, port, mode)
-            return value, self._modal_gradient(functional)
+            return _Found(
+                float(inertias.modal_inertia(self.modes, port)[k]),
+                lambda: self._modal_gradient(
+                    inertias.modal_inertia_functional(self.frame, self.all_modes, port, mode)
+                ),
+            )
         if not self.design.loop.plain:
             raise ModelError(
                 f"{name}[{index}] is a metric of a bicollocated mirror without reaction masses only; "
                 "the report's table of modes has its value"
             )
         coupled = self.coupled
-        frequency = float(coupled.natural_frequency[k])
         reaction = float(coupled.effective_modal_reaction_inertia[k])
         if reaction == 0.0:
             return self._unmoved(name, index, k)
+        if name == "modal_reaction_inertia":
+            value = float(mirror.inertia) / reaction
+        elif name in ("pole_zero_separation", "participation") and np.isnan(coupled.zero[k]):
+            raise ModelError(
+                f"{name}[{index}]: this is the mirror mode, which has no zero; choose another mode"
+            )
+        else:
+            value = float(getattr(coupled, name)[k])
+        return _Found(value, lambda: self._coupled_gradient(name, index, k))
+
+    def _coupled_gradient(self, name: str, index: int, k: int) -> Array:
+        """Gradient of a metric of coupled mode k, counted from zero, that the mirror moves."""
         if self.kept.size < self.frame.eigenvalue.size:
             raise SolverError(
                 f"{name}[{index}]: coupled modes of a truncated model have no gradient; keep all modes"
             )
+        coupled, mirror, port = self.coupled, self.design.loop.mirror, self.system.mirror_port
         parts = inertias.coupled_functionals(self.frame, self.all_modes, coupled, mirror, port, k)
+        if name in ("effective_modal_reaction_inertia", "modal_reaction_inertia"):
+            by_reaction = self._modal_gradient(parts["effective_modal_reaction_inertia"])
+            if name == "effective_modal_reaction_inertia":
+                return by_reaction
+            reaction = float(coupled.effective_modal_reaction_inertia[k])
+            gradient = -float(mirror.inertia) / reaction**2 * by_reaction
+            gradient[-len(LOOP_PARAMETERS)] += 1 / reaction
+            return gradient
         by_eigenvalue = self._modal_gradient(parts["eigenvalue"])
         if name == "natural_frequency":
-            return frequency, by_eigenvalue / (2 * frequency)
-        by_reaction = self._modal_gradient(parts["effective_modal_reaction_inertia"])
-        if name == "effective_modal_reaction_inertia":
-            return reaction, by_reaction
-        if name == "modal_reaction_inertia":
-            value = float(mirror.inertia) / reaction
-            gradient = -value / reaction * by_reaction
-            gradient[-len(LOOP_PARAMETERS)] += 1 / reaction
-            return value, gradient
-        if np.isnan(coupled.zero[k]):
-            raise ModelError(
-                f"{name}[{index}]: this is the mirror mode, which has no zero; choose another mode"
-            )
+            return by_eigenvalue / (2 * float(coupled.natural_frequency[k]))
         zero = float(coupled.zero[k])
         paired = int(self.kept[np.argmin(np.abs(self.modes.stiffness - zero))])
         if self.frame.eigenvalue[paired] > 0:
             by_zero = self._weights_gradient(*self.frame.eigenvalue_gradient(paired))
         else:
             by_zero = np.zeros_like(by_eigenvalue)
-        participation = float(coupled.participation[k])
-        gradient = (by_eigenvalue - participation * by_zero) / zero
-        if name == "participation":
-            return participation, gradient
-        separation = float(coupled.pole_zero_separation[k])
-        return separation, gradient / (2 * separation)
+        gradient = (by_eigenvalue - float(coupled.participation[k]) * by_zero) / zero
+        return (
+            gradient if name == "participation" else gradient / (2 * float(coupled.pole_zero_separation[k]))
+        )
 
-    def _unmoved(self, name: str, index: int, k: int) -> Valued:
+    def _no_gradient(self) -> Array:
+        return np.zeros(self.design.parameters.size)
+
+    def _unmoved(self, name: str, index: int, k: int) -> _Found:
         """A mode the mirror cannot move: a free rigid body, or a node at the port."""
-        none = np.zeros(self.design.parameters.size)
         if name == "modal_reaction_inertia":
             raise ModelError(
                 f"{name}[{index}] is infinite: the mirror cannot move this mode; use effective_{name}"
             )
         if name == "effective_modal_reaction_inertia":
-            return 0.0, none
+            return _Found(0.0, self._no_gradient)
         if name in ("pole_zero_separation", "participation"):
-            return 1.0, none
+            return _Found(1.0, self._no_gradient)
         eigenvalue = self.coupled.eigenvalue[k]
         if eigenvalue == 0:
-            return 0.0, none
+            return _Found(0.0, self._no_gradient)
         return self._frequency(int(np.argmin(np.abs(self.frame.eigenvalue - eigenvalue))))
 
     @cached_property
@@ -285,24 +335,30 @@ class Evaluation:
         found = jitter_variances(self.model, self.poles, disturbances, self.shift)
         return {f"jitter_{d.name}": variance for d, variance in zip(disturbances, found, strict=True)}
 
-    def _jitter(self, names: Sequence[str]) -> Valued:
-        variance = sum(self.variances[name].value for name in names)
-        gradient = self._loop_gradient([f for name in names for f in self.variances[name].functionals])
-        rms = float(np.sqrt(variance))
-        # A disturbance that cannot reach the line of sight has no jitter, and no slope of its own.
-        return rms, gradient / (2 * rms) if rms > 0 else np.zeros_like(gradient)
+    def _jitter(self, names: Sequence[str]) -> _Found:
+        rms = float(np.sqrt(sum(self.variances[name].value for name in names)))
+        if rms == 0:
+            # A disturbance that cannot reach the line of sight has no jitter, and no slope of its own.
+            return _Found(rms, self._no_gradient)
+        functionals = [f for name in names for f in self.variances[name].functionals]
+        return _Found(rms, lambda: self._loop_gradient(functionals) / (2 * rms))
 
     @cached_property
-    def _margins(self) -> list[Valued]:
+    def _margins(self) -> list[_Found]:
         values, functionals = margins.modulus_margins(self.model, self.poles, BRANCHES["modulus_margin"])
-        return [(float(v), self._loop_gradient([f])) for v, f in zip(values, functionals, strict=True)]
+        return [
+            _Found(float(v), lambda f=f: self._loop_gradient([f]))
+            for v, f in zip(values, functionals, strict=True)
+        ]
 
     @cached_property
-    def _step(self) -> dict[str, Valued]:
+    def _step(self) -> dict[str, _Found]:
         if self.system.step is None:
             raise ModelError("step metrics need a step command; add one to the system")
         found = step_metrics(self.model, self.poles, self.system.step)
-        return {name: (value, self._loop_gradient([f])) for name, (value, f) in found.items()}
+        return {
+            name: _Found(value, lambda f=f: self._loop_gradient([f])) for name, (value, f) in found.items()
+        }
 
     def _weights_gradient(self, stiffness: Array, mass: Array) -> Array:
         """From derivatives for the row weights of K and M to one over `Design.parameters`."""

@@ -111,8 +111,8 @@ class Design:
 
     Attributes
     ----------
-    area, batten_mass
-        (b,) [m²], (r,) [kg].
+    area, batten_mass, spring_stiffness
+        (b,) [m²], (r,) [kg], (s,) of the springs to ground [N/m], [N m/rad].
     mirror_mass
         [kg].
     loop
@@ -121,20 +121,25 @@ class Design:
 
     area: Array
     batten_mass: Array
+    spring_stiffness: Array
     mirror_mass: float
     loop: Loop
 
     @property
     def parameters(self) -> Array:
-        """(b + r + 8,) areas, batten masses and the `symbolic.LOOP_PARAMETERS`."""
-        return np.concatenate([self.area, self.batten_mass, loop_parameters(self.loop)])
+        """(b + r + s + 8,) areas, batten masses, spring stiffnesses and the `symbolic.LOOP_PARAMETERS`."""
+        return np.concatenate(
+            [self.area, self.batten_mass, self.spring_stiffness, loop_parameters(self.loop)]
+        )
 
     def with_parameters(self, parameters: Array) -> Design:
         """The design with other parameters, in the order of `parameters`."""
-        b, r = self.area.size, self.batten_mass.size
+        ends = np.cumsum([self.area.size, self.batten_mass.size, self.spring_stiffness.size])
+        area, batten_mass, spring_stiffness, loop = np.split(parameters, ends)
         return Design(
-            parameters[:b],
-            parameters[b : b + r],
+            area,
+            batten_mass,
+            spring_stiffness,
             self.mirror_mass,
-            loop_of([float(x) for x in parameters[b + r :]], layout_of(self.loop)),
+            loop_of([float(x) for x in loop], layout_of(self.loop)),
         )

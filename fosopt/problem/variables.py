@@ -21,6 +21,7 @@ from fosopt.symbolic import LOOP_PARAMETERS, loop_parameters
 Quantity = Literal[
     "area",
     "batten_mass",
+    "spring_stiffness",
     "mirror_inertia",
     "mirror_inertia_ratio",
     "mirror_frequency",
@@ -31,6 +32,8 @@ Quantity = Literal[
     "kd",
 ]
 Discipline = Literal["structure", "control"]
+
+_MEMBERS = ("area", "batten_mass", "spring_stiffness")
 
 
 @dataclass(frozen=True)
@@ -48,7 +51,7 @@ class Variable:
     log
         Whether the optimizer works on its logarithm; needs a positive lower bound.
     groups
-        For areas and batten masses: the indices of the members in each of the g groups.
+        For areas, batten masses and spring stiffnesses: the indices of the members in each of the g groups.
     labels
         (g,) names of the groups.
     """
@@ -85,7 +88,7 @@ class Variable:
     @property
     def discipline(self) -> Discipline:
         """Who sizes it in the sequential habit: structure first, then mirror and controller."""
-        return "structure" if self.quantity in ("area", "batten_mass") else "control"
+        return "structure" if self.quantity in _MEMBERS else "control"
 
 
 @dataclass(frozen=True)
@@ -107,7 +110,7 @@ class Definitions:
 def design_parameters(
     system: System, base: Design, definitions: Definitions, variables: Sequence[Variable], x: Any
 ) -> Any:
-    """Parameters of a design (areas, batten masses, loop) from the values of all variables.
+    """Parameters of a design (areas, batten masses, spring stiffnesses, loop) from the values of all variables.
 
     One text for numbers and symbols; its Jacobian carries gradients from parameters to variables.
 
@@ -118,12 +121,12 @@ def design_parameters(
 
     Returns
     -------
-    (b + r + 8,)
+    (b + r + s + 8,)
         In the order of `Design.parameters`.
     """
     structure = system.structure
     values: dict[str, Any] = {}
-    members = {"area": base.area, "batten_mass": base.batten_mass}
+    members: dict[str, Any] = {name: getattr(base, name) for name in _MEMBERS}
     offset = 0
     for variable in variables:
         part = x[offset : offset + variable.size]
@@ -147,7 +150,7 @@ def design_parameters(
         loop["gain"] = gain_for_crossover(
             crossover, mirror, loop["kp"], loop["ki"], loop["kd"], loop["rolloff_time"]
         )
-    return ops.stack(members["area"], members["batten_mass"], *(loop[name] for name in LOOP_PARAMETERS))
+    return ops.stack(*members.values(), *(loop[name] for name in LOOP_PARAMETERS))
 
 
 def _membership(variable: Variable, count: int) -> sparse.csr_array:

@@ -43,7 +43,7 @@ def assemble(truss: Truss, mirror_port: str) -> Structure:
     """
     check_truss(truss, mirror_port)
     frame = _frame(truss)
-    stiffness_rows, by_area, k_constant = _stiffness(truss, frame)
+    stiffness_rows, by_area, by_spring = _stiffness(truss, frame)
     mass = _mass(truss, frame, mirror_port)
     hub_arm = mass.rows @ _unit_rotation(truss, frame)
 
@@ -60,7 +60,8 @@ def assemble(truss: Truss, mirror_port: str) -> Structure:
         dofs=tuple(frame.names[i] for i in free),
         stiffness_rows=stiffness_rows[:, free],
         stiffness_by_area=by_area,
-        stiffness_constant=k_constant,
+        stiffness_by_spring=by_spring,
+        stiffness_constant=np.zeros(stiffness_rows.shape[0]),
         mass_rows=mass.rows[:, free],
         mass_by_area=mass.by_area,
         mass_by_batten=mass.by_batten,
@@ -140,7 +141,8 @@ def _dof(frame: _Frame, at: str, component: str, where: str) -> str:
     return name
 
 
-def _stiffness(truss: Truss, frame: _Frame) -> tuple[sparse.csr_array, sparse.csr_array, Array]:
+def _stiffness(truss: Truss, frame: _Frame) -> tuple[sparse.csr_array, sparse.csr_array, sparse.csr_array]:
+    """Rows, and weights per area and per spring: bars come first, springs after them."""
     lengths = bar_lengths(truss)
     rows = []
     for bar, length in zip(truss.bars, lengths, strict=True):
@@ -153,8 +155,8 @@ def _stiffness(truss: Truss, frame: _Frame) -> tuple[sparse.csr_array, sparse.cs
     per_area = np.array([bar.young for bar in truss.bars]) / lengths
     n_bar, n_spring = len(truss.bars), len(truss.springs)
     by_area = sparse.vstack([sparse.diags_array(per_area), sparse.csr_array((n_spring, n_bar))], format="csr")
-    constant = np.concatenate([np.zeros(n_bar), [spring.stiffness for spring in truss.springs]])
-    return sparse.csr_array(sparse.vstack(rows)), by_area, constant
+    by_spring = sparse.eye_array(n_bar + n_spring, n_spring, k=-n_bar, format="csr")
+    return sparse.csr_array(sparse.vstack(rows)), by_area, by_spring
 
 
 @dataclass(frozen=True)

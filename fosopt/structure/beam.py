@@ -284,6 +284,7 @@ def assemble_beam(
         ),
         stiffness_rows=sparse.eye_array(n, format="csr"),
         stiffness_by_area=sparse.csr_array((n, 0)),
+        stiffness_by_spring=sparse.csr_array((n, 0)),
         stiffness_constant=np.concatenate([lateral.natural_frequency, longitudinal.natural_frequency]) ** 2,
         mass_rows=sparse.csr_array(np.vstack([np.eye(n), np.zeros(n), *carried])),
         mass_by_area=sparse.csr_array((m, 0)),

@@ -110,6 +110,7 @@ def assemble_chain(chain: Chain, mirror_port: str = "tip") -> Structure:
         dofs=tuple(f"{name}.rz" for name in bodies[free]),
         stiffness_rows=sparse.csr_array(np.diff(motion, axis=0)[:, free]),
         stiffness_by_area=sparse.csr_array((n - 1, 0)),
+        stiffness_by_spring=sparse.csr_array((n - 1, 0)),
         stiffness_constant=np.array(chain.springs, dtype=float),
         mass_rows=sparse.csr_array(motion[:, free]),
         mass_by_area=sparse.csr_array((n, 0)),

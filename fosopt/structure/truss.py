@@ -2,7 +2,7 @@
 
 A `Truss` is what an engineer writes down: nodes, bars, battens, springs, supports and ports. `assemble` turns
 it into a `Structure`, in which mass and stiffness are congruences of two constant sparse matrices with
-weights that are linear in the design parameters (bar areas, batten masses, mirror mass).
+weights that are linear in the design parameters (bar areas, batten masses, spring stiffnesses, mirror mass).
 """
 
 from __future__ import annotations
@@ -67,11 +67,20 @@ class PointMass:
 
 @dataclass(frozen=True)
 class Spring:
-    """A spring to ground at one component of a node or batten [N/m] or [N m/rad]."""
+    """A spring to ground at one component of a node or batten [N/m] or [N m/rad].
+
+    `stiffness` is the start value when it is a design variable; `name` is by default place and component, such as
+    ``B0.x``.
+    """
 
     at: str
     component: str
     stiffness: float
+    name: str = ""
+
+    def __post_init__(self) -> None:
+        if not self.name:
+            object.__setattr__(self, "name", f"{self.at}.{self.component}")
 
 
 @dataclass(frozen=True)
@@ -95,17 +104,17 @@ class Truss:
 class Structure:
     """An assembled structure: constant matrices and linear weights.
 
-    Shapes: n degrees of freedom, b bars, r battens, k stiffness rows, m mass rows.
+    Shapes: n degrees of freedom, b bars, r battens, s springs to ground, k stiffness rows, m mass rows.
 
     Attributes
     ----------
     truss
-        What it was assembled from; of a beam or a chain, which have neither bars nor battens, the places of its
-        ports alone.
+        What it was assembled from; of a beam or a chain, which have neither bars nor battens nor springs to ground,
+        the places of its ports alone.
     dofs
         (n,) names such as ``B20.rz``.
-    stiffness_rows, stiffness_by_area, stiffness_constant
-        (k, n) elongation per displacement, (k, b) [N/m per m²], (k,) [N/m].
+    stiffness_rows, stiffness_by_area, stiffness_by_spring, stiffness_constant
+        (k, n) elongation per displacement, (k, b) [N/m per m²], (k, s), (k,) [N/m].
     mass_rows, mass_by_area, mass_by_batten, mass_by_mirror, mass_constant
         (m, n) velocity per velocity, (m, b) [kg per m²], (m, r), (m,), (m,) [kg] or [kg m²].
     bar_mass_per_area, mass_fixed
@@ -120,6 +129,7 @@ class Structure:
     dofs: tuple[str, ...]
     stiffness_rows: sparse.csr_array
     stiffness_by_area: sparse.csr_array
+    stiffness_by_spring: sparse.csr_array
     stiffness_constant: Array
     mass_rows: sparse.csr_array
     mass_by_area: sparse.csr_array
@@ -141,6 +151,11 @@ class Structure:
         """(r,) Start masses of the battens [kg]."""
         return np.array([batten.mass for batten in self.truss.battens])
 
+    @property
+    def spring_stiffness(self) -> Array:
+        """(s,) Start stiffnesses of the springs to ground [N/m], [N m/rad]."""
+        return np.array([spring.stiffness for spring in self.truss.springs], dtype=float)
+
     @cached_property
     def stiffness_entries(self) -> sparse.csc_array:
         """(n², k) Entries of the stiffness matrix per weight."""
@@ -153,10 +168,14 @@ class Structure:
 
     @cached_property
     def weight_gradients(self) -> sparse.csr_array:
-        """(b + r, k + m) Derivatives of stiffness and mass weights for areas and batten masses."""
-        n_batten = self.mass_by_batten.shape[1]
-        by_batten = sparse.csr_array((self.stiffness_by_area.shape[0], n_batten))
-        table = [[self.stiffness_by_area, by_batten], [self.mass_by_area, self.mass_by_batten]]
+        """(b + r + s, k + m) Derivatives of stiffness and mass weights for areas, batten masses and springs."""
+        k, m = self.stiffness_by_area.shape[0], self.mass_by_area.shape[0]
+        stiffness_by_batten = sparse.csr_array((k, self.mass_by_batten.shape[1]))
+        mass_by_spring = sparse.csr_array((m, self.stiffness_by_spring.shape[1]))
+        table = [
+            [self.stiffness_by_area, stiffness_by_batten, self.stiffness_by_spring],
+            [self.mass_by_area, self.mass_by_batten, mass_by_spring],
+        ]
         return sparse.csr_array(sparse.block_array(table).T)
 
     def port(self, name: str) -> Array:
@@ -175,23 +194,34 @@ class Structure:
         return np.array([float(dof == name) for dof in self.dofs])
 
 
-def stiffness_matrix(structure: Structure, area: Any) -> Any:
-    """Stiffness matrix K(a) = Bᵀ diag(E a / L) B plus springs.
+def stiffness_matrix(structure: Structure, area: Any, spring_stiffness: Any = None) -> Any:
+    """Stiffness matrix K(a, k) = Bᵀ diag(E a / L, k) B of bars and of springs to ground.
 
     Assumes small displacements and pin-ended bars.    [Barker1991] Eq. (2.1)
+
+    Parameters
+    ----------
+    spring_stiffness
+        (s,) k; by default those the structure was assembled with [N/m], [N m/rad].
 
     Returns
     -------
     (n, n)
-        Linear in the areas [N/m], [N m/rad].
+        Linear in all parameters [N/m], [N m/rad].
     """
-    weights = stiffness_weights(structure, area)
+    weights = stiffness_weights(structure, area, spring_stiffness)
     return ops.congruence(structure.stiffness_rows, weights, structure.stiffness_entries)
 
 
-def stiffness_weights(structure: Structure, area: Any) -> Any:
-    """(k,) Axial stiffness E a / L of each bar, then of each spring [N/m]."""
-    return ops.linear(structure.stiffness_by_area, area) + structure.stiffness_constant
+def stiffness_weights(structure: Structure, area: Any, spring_stiffness: Any = None) -> Any:
+    """(k,) Axial stiffness E a / L of each bar, then of each spring, see `stiffness_matrix` [N/m], [N m/rad]."""
+    if spring_stiffness is None:
+        spring_stiffness = structure.spring_stiffness
+    return (
+        ops.linear(structure.stiffness_by_area, area)
+        + ops.linear(structure.stiffness_by_spring, spring_stiffness)
+        + structure.stiffness_constant
+    )
 
 
 def mass_matrix(structure: Structure, area: Any, batten_mass: Any, mirror_mass: Any) -> Any:

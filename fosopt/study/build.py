@@ -44,6 +44,7 @@ from fosopt.structure import (
 )
 from fosopt.study import schema, schema_structures, schema_system, schema_truss
 from fosopt.study.files import read_damping, read_psd
+from fosopt.study.schema_names import MEMBERS
 
 
 def build_problem(study: schema.Study) -> Problem:
@@ -169,7 +170,9 @@ def _truss(given: schema_truss.BarkerTruss | schema_truss.Truss) -> Truss:
     )
     battens = tuple(Batten(b.name, b.nodes, b.mass, b.inertia, b.center) for b in given.battens)
     points = tuple(PointMass(str(p.node or p.batten), p.mass, p.inertia) for p in given.points)
-    springs = tuple(Spring(str(s.node or s.batten), s.component, s.stiffness) for s in given.springs)
+    springs = tuple(
+        Spring(str(s.node or s.batten), s.component, s.stiffness, s.name or "") for s in given.springs
+    )
     return Truss(given.nodes, bars, given.ports, given.supports, battens, points, springs)
 
 
@@ -200,7 +203,7 @@ def _base(study: schema.Study, structure: Structure) -> Design:
         gain = float(gain_for_crossover(pid.crossover, mirror, pid.kp, pid.ki, pid.kd, lag))
     controller = PID(gain, pid.kp, pid.ki, pid.kd, lag)
     loop = Loop(mirror, controller, _placement(study, structure), tuple(_actuators(study, structure)))
-    return Design(area, batten_mass, mirror_mass, loop)
+    return Design(area, batten_mass, structure.spring_stiffness, mirror_mass, loop)
 
 
 def _placement(study: schema.Study, structure: Structure) -> Placement:
@@ -281,7 +284,7 @@ def _filter(given: Any) -> shaping.ShapingFilter:
 def _variable(study: schema.Study, structure: Structure, base: Design, k: int) -> Variable:
     given = study.variables[k]
     log = given.scale == "log"
-    if given.quantity not in ("area", "batten_mass"):
+    if given.quantity not in MEMBERS:
         start = given.start
         if start is None:
             start = study.given(given.quantity)
@@ -312,9 +315,11 @@ def _groups(
 ) -> tuple[tuple[tuple[int, ...], ...], tuple[str, ...]]:
     """Members of each group of a member variable, and the groups' names."""
     given: Any = study.variables[k]
-    kinds = getattr(given, "kinds", None)
-    members: Any = structure.truss.bars if given.quantity == "area" else structure.truss.battens
-    chosen = [(i, m) for i, m in enumerate(members) if kinds is None or m.kind in kinds]
+    truss = structure.truss
+    members: Any = dict(zip(MEMBERS, (truss.bars, truss.battens, truss.springs), strict=True))[given.quantity]
+    sort = "component" if given.quantity == "spring_stiffness" else "kind"
+    only = getattr(given, f"{sort}s", None)
+    chosen = [(i, m) for i, m in enumerate(members) if only is None or getattr(m, sort) in only]
     groups: dict[str, list[int]] = {}
     if given.groups is not None:
         owner: dict[int, str] = {}
@@ -337,13 +342,7 @@ def _groups(
                         groups[name].append(i)
     else:
         for i, member in chosen:
-            label = {
-                "member": member.name,
-                "bay": f"bay {member.bay}",
-                "kind": getattr(member, "kind", "batten"),
-                "all": "all",
-            }[given.group_by]
-            groups.setdefault(label, []).append(i)
+            groups.setdefault(_label(member, given.group_by), []).append(i)
     taken = {
         i: other.name
         for j, other in enumerate(study.variables[:k])
@@ -360,3 +359,12 @@ def _groups(
     if not groups:
         raise study.error("the structure has no such members; remove the variable", "variables", k)
     return tuple(tuple(sorted(group)) for group in groups.values()), tuple(groups)
+
+
+def _label(member: Any, group_by: str) -> str:
+    """Name of the group of a member where it is grouped by what it is."""
+    if group_by == "all":
+        return "all"
+    if group_by == "bay":
+        return f"bay {member.bay}"
+    return str(getattr(member, "name" if group_by == "member" else group_by))

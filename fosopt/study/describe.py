@@ -7,8 +7,8 @@ from collections.abc import Iterable, Iterator
 from fosopt.expressions import Expression, parse_expression
 from fosopt.study.schema import Study, Variable
 from fosopt.study.schema_actuators import Actuator
-from fosopt.study.schema_names import SIGNAL
-from fosopt.study.schema_rules import dimension_of, expression_dimension
+from fosopt.study.schema_names import MEMBERS, SIGNAL
+from fosopt.study.schema_rules import dimension_of, expression_dimension, variable_dimension
 from fosopt.study.schema_structures import Structure
 from fosopt.study.schema_system import Disturbance, Filter
 from fosopt.units import DIMENSIONS, HZ, dimension_name, display, show
@@ -44,7 +44,8 @@ def _amount(study: Study, expression: Expression, value: float) -> str:
 def _problem(study: Study) -> Iterator[str]:
     for k, objective in enumerate(study.objectives):
         front = f"   (Pareto front, {study.front.points} points)" if study.front and k else ""
-        yield f"{'minimize' if k == 0 else 'and':<12}{objective.minimize}{front}"
+        name = "" if objective.label is None else f"{objective.label}: "
+        yield f"{'minimize' if k == 0 else 'and':<12}{name}{objective.minimize}{front}"
     for k, constraint in enumerate(study.constraints):
         metric = constraint.metric
         lower = None if constraint.lower is None else _amount(study, metric, constraint.lower)
@@ -53,7 +54,8 @@ def _problem(study: Study) -> Iterator[str]:
             text = f"{metric} = {lower}" if lower == upper else f"{lower} ≤ {metric} ≤ {upper}"
         else:
             text = f"{metric} ≥ {lower}" if upper is None else f"{metric} ≤ {upper}"
-        yield f"{'' if k else 'subject to':<12}{text}"
+        name = "" if constraint.label is None else f"{constraint.label}: "
+        yield f"{'' if k else 'subject to':<12}{name}{text}"
     if study.kind == "codesign":
         yield f"{'over':<12}{', '.join(_indexed(each) for each in study.variables)}"
         solve = study.solve
@@ -73,13 +75,13 @@ def _indexed(variable: Variable) -> str:
 
 
 def _variable(study: Study, variable: Variable) -> str:
-    factor, unit = display(variable.dimension)
+    factor, unit = display(variable_dimension(study, variable))
     lower, upper = (f"{bound * factor:.6g}" for bound in (variable.lower, variable.upper))
     bounds = f"{lower} ≤ {_indexed(variable)} ≤ {upper} {unit}".rstrip()
     start = _start(study, variable)
     groups = getattr(variable, "groups", None)
     group_by = getattr(variable, "group_by", None)
-    kinds = getattr(variable, "kinds", None)
+    only = getattr(variable, "kinds", None) or getattr(variable, "components", None)
     parts = [bounds, f"start {start}", f"{variable.scale} scale"]
     if variable.name != variable.quantity:
         parts.append(f"the {variable.quantity.replace('_', ' ')}")
@@ -90,8 +92,8 @@ def _variable(study: Study, variable: Variable) -> str:
         )
     elif group_by:
         parts.append("one for all" if group_by == "all" else f"one per {group_by}")
-    if kinds:
-        parts.append(f"{', '.join(kinds)} only")
+    if only:
+        parts.append(f"{', '.join(only)} only")
     return ", ".join(parts)
 
 
@@ -100,9 +102,9 @@ def _start(study: Study, variable: Variable) -> str:
     if isinstance(given, tuple):
         return f"from {len(given)} values of the design"
     value = given if given is not None else variable.start
-    if value is None and variable.quantity not in ("area", "batten_mass"):
+    if value is None and variable.quantity not in MEMBERS:
         value = study.given(variable.quantity)
-    return "from the structure" if value is None else show(value, variable.dimension)
+    return "from the structure" if value is None else show(value, variable_dimension(study, variable))
 
 
 def _system(study: Study) -> Iterator[str]:

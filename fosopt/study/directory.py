@@ -17,8 +17,7 @@ from fosopt.report import write_report
 from fosopt.study.files import side_files
 from fosopt.study.load import dump_study
 from fosopt.study.schema import Study
-from fosopt.study.schema_names import QUANTITIES
-from fosopt.study.schema_rules import expression_dimension, known_metrics
+from fosopt.study.schema_rules import expression_dimension, known_metrics, variable_dimension
 from fosopt.units import DIMENSIONLESS, Vector, column, dimension_name, display
 
 _INPUTS = "inputs"
@@ -80,7 +79,7 @@ def run_header(study: Study, problem: Problem) -> dict[str, Any]:
         digest.update(path.read_bytes())
     known = known_metrics(study)
     quantities = {
-        name: _quantity(known[name].dimension, known[name].label, name)
+        name: quantity_entry(known[name].dimension, known[name].label, name)
         for name in problem.system.metric_names
     }
     for disturbance in study.disturbances:
@@ -89,13 +88,18 @@ def run_header(study: Study, problem: Problem) -> dict[str, Any]:
         )
     for variable in study.variables:
         label = variable.name.replace("_", " ")
-        quantities.setdefault(variable.name, _quantity(QUANTITIES[variable.quantity], label, variable.name))
+        dimension = variable_dimension(study, variable)
+        quantities.setdefault(variable.name, quantity_entry(dimension, label, variable.name))
     objectives = [o.minimize.text for o in study.objectives]
-    for objective in study.objectives:
-        text = objective.minimize.text
+    given = [(o.minimize, o.label, "objective") for o in study.objectives]
+    given += [(c.metric, c.label, "constraint") for c in study.constraints]
+    for expression, called, kind in given:
+        text = expression.text
         if text not in quantities:
-            dimension = expression_dimension(study, objective.minimize)
-            quantities[text] = _quantity(dimension or DIMENSIONLESS, text, f"objective_{len(quantities)}")
+            vector = expression_dimension(study, expression)
+            quantities[text] = quantity_entry(vector or DIMENSIONLESS, text, f"{kind}_{len(quantities)}")
+        if called is not None:
+            quantities[text]["label"] = called
     return {
         "name": study.name,
         "description": study.description,
@@ -115,7 +119,8 @@ def run_header(study: Study, problem: Problem) -> dict[str, Any]:
     }
 
 
-def _quantity(dimension: str | Vector, label: str, name: str) -> dict[str, Any]:
+def quantity_entry(dimension: str | Vector, label: str, name: str) -> dict[str, Any]:
+    """How a quantity of the run data is shown: label, unit, factor from SI, and the same for a table's column."""
     kind = dimension if isinstance(dimension, str) else dimension_name(dimension)
     if kind is None:
         # An expression in a unit that has no name of its own is shown as it is computed.

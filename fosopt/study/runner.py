@@ -77,6 +77,10 @@ def run_study(
         If the study poses no problem, or `out` is not empty.
     """
     begin, out = time.perf_counter(), Path(out)
+    if study.kind == "sweep":
+        from fosopt.study.sweep import run_sweep
+
+        return run_sweep(study, out, progress, stop)
     problem = build_problem(study)
     start = start_vector(study, problem)
     header = run_header(study, problem)

@@ -32,12 +32,14 @@ from fosopt.study.schema_base import (
     Prose,
     RuleError,
     Section,
+    Stiffness,
     unique,
 )
-from fosopt.study.schema_names import QUANTITIES
 from fosopt.study.schema_rules import check_study
 from fosopt.study.schema_structures import Structure
+from fosopt.study.schema_sweep import Sweep
 from fosopt.study.schema_system import Controller, Damping, Disturbance, Hub, Mirror, Modes, Step
+from fosopt.study.schema_truss import Component
 from fosopt.study.source import Source
 
 Groups = Annotated[dict[Identifier, Annotated[tuple[Label, ...], Field(min_length=1)]], Field(min_length=1)]
@@ -60,11 +62,6 @@ class _Variable(Section):
     upper: float
     start: float | None = None
     scale: Literal["log", "linear"] = Field(default_factory=_default_scale)
-
-    @property
-    def dimension(self) -> str:
-        """Name of its dimension."""
-        return QUANTITIES[self.quantity]
 
     @property
     def is_scalar(self) -> bool:
@@ -96,7 +93,7 @@ class _MemberVariable(_Variable):
         if self.groups is not None and self.group_by is not None:
             raise RuleError("'groups' and 'group_by' exclude each other; remove one", "group_by", of_key=True)
         if self.groups is None and self.group_by is None:
-            raise RuleError("'group_by' is empty; write member, bay, kind or all", "group_by")
+            raise RuleError("'group_by' is empty; give one, such as member or all", "group_by")
         return self
 
 
@@ -123,6 +120,17 @@ class BattenMassVariable(_MemberVariable):
     lower: Mass
     upper: Mass
     start: Mass | None = None
+
+
+class SpringStiffnessVariable(_MemberVariable):
+    """Stiffnesses of springs to ground, of translational or of rotational ones."""
+
+    quantity: Literal["spring_stiffness"]
+    group_by: Literal["member", "component", "all"] | None = Field(default_factory=_default_group_by)
+    components: Annotated[tuple[Component, ...], Field(min_length=1)] | None = None
+    lower: Stiffness
+    upper: Stiffness
+    start: Stiffness | None = None
 
 
 class MirrorInertiaVariable(_Variable):
@@ -191,6 +199,7 @@ class DerivativeVariable(_Variable):
 Variable = Annotated[
     AreaVariable
     | BattenMassVariable
+    | SpringStiffnessVariable
     | MirrorInertiaVariable
     | MirrorInertiaRatioVariable
     | FrequencyVariable
@@ -203,15 +212,17 @@ Variable = Annotated[
 
 
 class Objective(Section):
-    """What is made as small as possible."""
+    """What is made as small as possible, and what people call it."""
 
     minimize: MetricExpression
+    label: Label | None = None
 
 
 class Constraint(Section):
-    """Bounds on a metric or an expression of metrics."""
+    """Bounds on a metric or an expression of metrics, and what people call it."""
 
     metric: MetricExpression
+    label: Label | None = None
     lower: AnyQuantity | None = None
     upper: AnyQuantity | None = None
 
@@ -276,7 +287,7 @@ class Study(Section):
 
     fosopt: Literal[1]
     name: Label
-    kind: Literal["codesign", "analysis"] = "codesign"
+    kind: Literal["codesign", "analysis", "sweep"] = "codesign"
     description: Prose = ""
     structure: Structure
     hub: Hub = Hub()
@@ -294,6 +305,7 @@ class Study(Section):
     front: Front | None = None
     solve: Solve = Solve()
     cases: tuple[Case, ...] = ()
+    sweep: Sweep | None = None
     requirements: dict[str, AnyQuantity] = Field(default_factory=dict)
     design: dict[Identifier, Values] = Field(default_factory=dict)
 

@@ -119,6 +119,8 @@ DerivativeGain = Annotated[float, Quantity("ratio", "nonnegative")]
 ProportionalGain = Annotated[float, Quantity("rate", "nonnegative")]
 IntegralGain = Annotated[float, Quantity("rate_squared", "nonnegative")]
 RotationalStiffness = Annotated[float, Quantity("rotational_stiffness", "nonnegative")]
+Stiffness = Annotated[float, Quantity(None, "nonnegative")]
+"""Of a spring that resists a translation [N/m] or a rotation [N m/rad]."""
 Pressure = Annotated[float, Quantity("pressure", "positive")]
 Density = Annotated[float, Quantity("density", "positive")]
 

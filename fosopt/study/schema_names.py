@@ -40,9 +40,13 @@ METRICS: dict[str, Metric] = {
 
 JITTER = Metric("angle", "jitter")
 
-QUANTITIES: dict[str, str] = {
+MEMBERS = ("area", "batten_mass", "spring_stiffness")
+"""Quantities that have one value per member of the structure; the others have one value."""
+
+QUANTITIES: dict[str, str | None] = {
     "area": "area",
     "batten_mass": "mass",
+    "spring_stiffness": None,
     "mirror_inertia": "inertia",
     "mirror_inertia_ratio": "ratio",
     "mirror_frequency": "frequency",
@@ -52,7 +56,7 @@ QUANTITIES: dict[str, str] = {
     "ki": "rate_squared",
     "kd": "ratio",
 }
-"""Dimension of each quantity that can be a design variable."""
+"""Dimension of each quantity that can be a design variable; that of a stiffness follows from the springs."""
 
 SIGNAL: dict[str, str] = {
     "mirror_torque": "torque",

@@ -4,16 +4,19 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
+from fnmatch import fnmatchcase
 from typing import TYPE_CHECKING, Any
 
 from fosopt.errors import did_you_mean
 from fosopt.expressions import Expression, Reference, parse_expression
 from fosopt.study.schema_base import KeyPath, RuleError, unique
-from fosopt.study.schema_names import JITTER, METRICS, QUANTITIES, Metric
-from fosopt.units import Vector, exponents, parse_quantity, quote, show
+from fosopt.study.schema_names import JITTER, MEMBERS, METRICS, QUANTITIES, Metric
+from fosopt.study.schema_sweep import check_sweep
+from fosopt.study.schema_truss import BarkerTruss, Truss
+from fosopt.units import DIMENSIONS, Vector, exponents, parse_quantity, quote, show
 
 if TYPE_CHECKING:
-    from fosopt.study.schema import Study, Variable
+    from fosopt.study.schema import SpringStiffnessVariable, Study, Variable
 
 _EXCLUSIVE = {
     "gain": ("crossover", "controller"),
@@ -23,8 +26,6 @@ _EXCLUSIVE = {
     "mirror_frequency": ("stiffness", "mirror"),
 }
 """Quantity that is fixed by another one, and the section that says by which."""
-
-_MEMBERS = ("area", "batten_mass")
 
 
 def known_metrics(study: Study) -> dict[str, Metric]:
@@ -40,7 +41,32 @@ def dimension_of(study: Study, name: str) -> str:
     metric = known_metrics(study).get(name)
     if metric is not None:
         return metric.dimension
-    return next(QUANTITIES[variable.quantity] for variable in study.variables if variable.name == name)
+    return next(variable_dimension(study, variable) for variable in study.variables if variable.name == name)
+
+
+def variable_dimension(study: Study, variable: Variable) -> str:
+    """Name of the dimension of a variable."""
+    if variable.quantity == "spring_stiffness":
+        assert isinstance(study.structure, BarkerTruss | Truss)
+        return _stiffness_dimension(_springs(study.structure, variable)[0][1])
+    known = QUANTITIES[variable.quantity]
+    assert known is not None
+    return known
+
+
+def _stiffness_dimension(component: str) -> str:
+    return "rotational_stiffness" if component.startswith("r") else "stiffness"
+
+
+def _springs(structure: BarkerTruss | Truss, variable: SpringStiffnessVariable) -> list[tuple[str, str]]:
+    """Name and component of each spring a variable sets."""
+    patterns = ("*",) if variable.groups is None else [p for each in variable.groups.values() for p in each]
+    return [
+        (name, component)
+        for name, component in structure.ground_springs
+        if (variable.components is None or component in variable.components)
+        and any(fnmatchcase(name, pattern) for pattern in patterns)
+    ]
 
 
 def expression_dimension(study: Study, expression: Expression) -> Vector | None:
@@ -53,15 +79,14 @@ def check_study(study: Study, data: Mapping[str, Any]) -> None:
     _check_ports(study)
     _check_mirror_mass(study)
     _check_disturbances(study)
-    _check_variables(study)
+    _check_variables(study, data)
     _check_purpose(study)
     for k, objective in enumerate(study.objectives):
         _check_expression(study, objective.minimize, ("objectives", k, "minimize"))
     for k, constraint in enumerate(study.constraints):
         vector = _check_expression(study, constraint.metric, ("constraints", k, "metric"))
         for key in ("lower", "upper"):
-            raw = data["constraints"][k]
-            value = raw.get(key) if isinstance(raw, Mapping) else getattr(raw, key)
+            value = _written(data["constraints"][k], key)
             if value is not None:
                 _check_unit(value, vector, "constraints", k, key)
     for name in study.requirements:
@@ -85,6 +110,11 @@ def _placed(*at: str | int, of_key: bool = False) -> Iterator[None]:
         raise RuleError(str(error), *(error.at or at), of_key=error.of_key or of_key) from None
     except ValueError as error:
         raise RuleError(str(error), *at, of_key=of_key) from None
+
+
+def _written(section: object, key: str) -> object:
+    """What stands at a key of a section, before it was converted."""
+    return section.get(key) if isinstance(section, Mapping) else getattr(section, key)
 
 
 def _check_unit(value: object, dimension: str | Vector | None, *at: str | int) -> None:
@@ -139,20 +169,20 @@ def _check_disturbances(study: Study) -> None:
             )
 
 
-def _check_variables(study: Study) -> None:
+def _check_variables(study: Study, data: Mapping[str, Any]) -> None:
     unique(((v.name, ("variables", k, "name")) for k, v in enumerate(study.variables)), "variable")
     scalars = [
         (v.quantity, ("variables", k, "quantity"))
         for k, v in enumerate(study.variables)
-        if v.quantity not in _MEMBERS
+        if v.quantity not in MEMBERS
     ]
     unique(scalars, "quantity")
     for k, variable in enumerate(study.variables):
         at: KeyPath = ("variables", k)
         if variable.name != variable.quantity and variable.name in known_metrics(study):
             raise RuleError(f"'{variable.name}' is the name of a metric; choose another name", *at, "name")
-        if variable.quantity in _MEMBERS:
-            _check_members(study, variable, at)
+        if variable.quantity in MEMBERS:
+            _check_members(study, variable, data["variables"][k], at)
             continue
         default = study.given(variable.quantity)
         if default is None:
@@ -167,19 +197,23 @@ def _check_variables(study: Study) -> None:
             and variable.name not in study.design
             and not variable.lower <= default <= variable.upper
         ):
-            shown = show(default, variable.dimension)
+            shown = show(default, variable_dimension(study, variable))
             raise RuleError(
                 f"the start {shown} of the {variable.quantity} lies outside the bounds; add a 'start'", *at
             )
 
 
-def _check_members(study: Study, variable: Variable, at: KeyPath) -> None:
+def _check_members(study: Study, variable: Variable, raw: object, at: KeyPath) -> None:
     structure = study.structure
     if structure.type == "beam" or structure.type == "chain":
         raise RuleError(
-            f"a {structure.type} has neither bars nor battens; remove the variable or describe a truss",
+            f"a {structure.type} has neither bars nor battens nor springs to ground; remove the variable or "
+            "describe a truss",
             *(*at, "quantity"),
         )
+    if variable.quantity == "spring_stiffness":
+        _check_springs(structure, variable, raw, at)
+        return
     if variable.quantity == "batten_mass" and structure.type == "truss" and not structure.battens:
         raise RuleError("the structure has no battens; remove the variable or add battens", *at, "quantity")
     if variable.quantity != "area":
@@ -196,8 +230,46 @@ def _check_members(study: Study, variable: Variable, at: KeyPath) -> None:
             )
 
 
+def _check_springs(
+    structure: BarkerTruss | Truss, variable: SpringStiffnessVariable, raw: object, at: KeyPath
+) -> None:
+    known = dict(structure.ground_springs)
+    if not known:
+        way_out = "add springs" if structure.type == "truss" else "write 'boundary: table'"
+        raise RuleError(
+            f"the structure has no springs to ground; remove the variable or {way_out}", *at, "quantity"
+        )
+    for k, held in enumerate(variable.components or ()):
+        if held not in known.values():
+            there = did_you_mean(held, set(known.values()))
+            raise RuleError(f"no spring resists the component '{held}'; {there}", *at, "components", k)
+    for name, patterns in (variable.groups or {}).items():
+        for pattern in patterns:
+            if not any(fnmatchcase(each, pattern) for each, _ in _springs(structure, variable)):
+                raise RuleError(
+                    f"'{pattern}' matches no spring; springs are named {', '.join(list(known)[:6])}",
+                    *(*at, "groups", name),
+                )
+    first, *others = _springs(structure, variable)
+    dimension = _stiffness_dimension(first[1])
+    for name, component in others:
+        if (other := _stiffness_dimension(component)) != dimension:
+            raise RuleError(
+                f"the springs '{first[0]}' [{DIMENSIONS[dimension].unit}] and '{name}' [{DIMENSIONS[other].unit}] have "
+                "no unit in common; give each a variable of its own, with 'components' or 'groups'",
+                *at,
+            )
+    for key in ("lower", "upper", "start"):
+        value = _written(raw, key)
+        if value is not None:
+            _check_unit(value, dimension, *at, key)
+
+
 def _check_purpose(study: Study) -> None:
     """Objectives, front and cases fit each other and the kind of study."""
+    check_sweep(study, lambda expression, at: _check_expression(study, expression, at))
+    if study.kind == "sweep":
+        return
     if study.kind == "analysis":
         for key in ("front", "cases"):
             if getattr(study, key):
@@ -277,7 +349,7 @@ def _check_design(study: Study, data: Mapping[str, Any]) -> None:
             )
         numbers = value if isinstance(value, tuple) else (value,)
         for (k, each), number in zip(items, numbers, strict=True):
-            _check_unit(each, variable.dimension, "design", name, *k)
+            _check_unit(each, variable_dimension(study, variable), "design", name, *k)
             inside = variable.lower <= number <= variable.upper
             if study.kind == "codesign" and not inside:
                 raise RuleError(

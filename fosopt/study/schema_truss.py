@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Iterable
 from typing import Annotated, Any, Literal, Self
 
 from pydantic import Field, model_validator
@@ -22,6 +23,7 @@ from fosopt.study.schema_base import (
     Quantity,
     RuleError,
     Section,
+    Stiffness,
     exactly_one,
     parsed,
     unique,
@@ -50,6 +52,11 @@ class BarkerTruss(Section):
     def ports(self) -> frozenset[str]:
         """The names of its ports."""
         return frozenset({"hub", "tip"})
+
+    @property
+    def ground_springs(self) -> Iterable[tuple[str, str]]:
+        """Name and component of each spring to ground: the root table has three."""
+        return [(f"B0.{c}", c) for c in ("x", "y", "rz")] if self.boundary == "table" else []
 
 
 class Bar(Section):
@@ -93,10 +100,11 @@ class Point(Section):
 class Spring(Section):
     """A spring from a node or batten to ground."""
 
+    name: Label | None = None
     node: Label | None = None
     batten: Label | None = None
     component: Component
-    stiffness: Annotated[float, Quantity(None, "nonnegative")]
+    stiffness: Stiffness
 
     @model_validator(mode="before")
     @classmethod
@@ -130,6 +138,11 @@ class Truss(Section):
         """The kinds of bars it has."""
         return frozenset(bar.kind for bar in self.bars)
 
+    @property
+    def ground_springs(self) -> Iterable[tuple[str, str]]:
+        """Name and component of each spring to ground."""
+        return [(s.name or f"{s.node or s.batten}.{s.component}", s.component) for s in self.springs]
+
     @model_validator(mode="after")
     def _check(self) -> Self:
         dimension = len(next(iter(self.nodes.values())))
@@ -142,6 +155,7 @@ class Truss(Section):
                 )
         unique(((bar.name, ("bars", k, "name")) for k, bar in enumerate(self.bars) if bar.name), "bar")
         unique(((batten.name, ("battens", k, "name")) for k, batten in enumerate(self.battens)), "batten")
+        unique(((s.name, ("springs", k, "name")) for k, s in enumerate(self.springs) if s.name), "spring")
         for k, bar in enumerate(self.bars):
             self._known_nodes(bar.nodes, "bars", k, "nodes")
             if self.nodes[bar.nodes[0]] == self.nodes[bar.nodes[1]]:

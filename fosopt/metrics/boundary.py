@@ -1,0 +1,230 @@
+"""Stability boundaries: where along a parameter the closed loop loses or regains stability.
+
+Along a path of loops the poles are followed from sample to sample. A boundary lies where the spectral abscissa changes
+sign; samples are added where a pole turns back close to the imaginary axis and where one pole takes over from another,
+so that a pair of boundaries between two samples is not overlooked. Assumes that between samples no pole turns more
+than once.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+from scipy import optimize
+
+from fosopt.control import ClosedLoopPoles
+from fosopt.errors import ModelError
+from fosopt.metrics.functional import LoopModel
+from fosopt.ops import ComplexArray
+
+Path = Callable[[float, ClosedLoopPoles | None], ClosedLoopPoles]
+"""Closed-loop poles at a value of the parameter, starting from poles of a neighbor or none."""
+
+TOLERANCE = 1e-9
+"""Relative accuracy of a boundary [-]."""
+_SAMPLES = 41
+_TURNS = 40  # evaluations to find where a pole turns
+# A pole may turn this many times its change between samples beyond the sample closest to the turn.
+_REACH = 4.0
+
+
+@dataclass(frozen=True)
+class Boundary:
+    """One boundary of stability.
+
+    Attributes
+    ----------
+    value
+        Of the parameter.
+    loses
+        Whether the loop loses stability as the parameter rises; else it regains it.
+    pole
+        The pole on the imaginary axis, upper one of its pair [rad/s].
+    """
+
+    value: float
+    loses: bool
+    pole: complex
+
+    @property
+    def frequency(self) -> float:
+        """Of the oscillation that neither grows nor decays [rad/s]."""
+        return abs(self.pole)
+
+
+def stability_boundaries(
+    path: Path, low: float, high: float, *, log: bool = True, samples: int = _SAMPLES
+) -> list[Boundary]:
+    """Every boundary of stability for a parameter from `low` to `high`, ascending, to 1e-9 of its value.
+
+    Parameters
+    ----------
+    path
+        From the parameter to the poles.
+    log
+        Whether samples are spaced by equal ratios.
+    samples
+        At least three; more for a loop whose poles turn often.
+
+    Raises
+    ------
+    ModelError
+        For a range that is empty, or not positive where it is sampled by ratios.
+    """
+    if not low < high or (log and not low > 0):
+        raise ModelError(
+            f"boundary: {low:g} to {high:g} is no range to search; give a lower end below the upper one"
+            + (", both above zero" if log else "")
+        )
+    search = _Search(path, log)
+    first, last = (float(np.log(x)) if log else x for x in (low, high))
+    found = [search.at(float(u)) for u in np.linspace(first, last, max(samples, 3))]
+    found = sorted([*found, *search.turns(found)], key=lambda sample: sample.at)
+    found = sorted([*found, *search.handovers(found)], key=lambda sample: sample.at)
+    return [search.between(a, b) for a, b in pairwise(found) if a.stable != b.stable]
+
+
+def boundary_mode(model: LoopModel, pole: complex) -> int:
+    """Number of the structural mode, from one, that moves most as the loop oscillates at a pole.
+
+    Motions are those of a load at the ports the loop uses, in mass-normalized coordinates.
+    """
+    modes = model.modes
+    ports = [model.mirror_port, *model.loop.other_ports]
+    shape = np.max([np.abs(modes.at(port)) for port in ports], axis=0)
+    resistance = np.abs(pole**2 + modes.damping * pole + modes.stiffness)
+    return 1 + int(np.argmax(shape / np.maximum(resistance, np.finfo(float).tiny)))
+
+
+def branches(lines: Sequence[Sequence[Boundary]], log: bool = True) -> list[list[int]]:
+    """Branch of each boundary on neighboring lines, so that a contour can be drawn.
+
+    A boundary continues the one of the line before that is nearest, of the same direction and within a factor of two
+    in frequency; otherwise it begins a new branch.
+
+    Returns
+    -------
+    list
+        For each line the numbers of its branches, from zero.
+    """
+    count, previous, found = 0, list[tuple[int, Boundary]](), list[list[int]]()
+    for line in lines:
+        free, numbers = list(previous), []
+        for boundary in line:
+            same = [
+                each
+                for each in free
+                if each[1].loses == boundary.loses and 0.5 < each[1].frequency / boundary.frequency < 2
+            ]
+            if same:
+                nearest = min(same, key=lambda each: _apart(each[1].value, boundary.value, log))
+                free.remove(nearest)
+                numbers.append(nearest[0])
+            else:
+                numbers.append(count)
+                count += 1
+        previous = list(zip(numbers, line, strict=True))
+        found.append(numbers)
+    return found
+
+
+def _apart(a: float, b: float, log: bool) -> float:
+    return abs(np.log(a / b)) if log else abs(a - b)
+
+
+@dataclass(frozen=True)
+class _Sample:
+    """Poles at one place of the path."""
+
+    at: float
+    poles: ClosedLoopPoles
+
+    @property
+    def stable(self) -> bool:
+        return self.poles.spectral_abscissa < 0
+
+    @property
+    def critical(self) -> complex:
+        """The rightmost pole."""
+        every: ComplexArray = np.concatenate([self.poles.value, self.poles.open_loop.uncoupled])
+        pole = every[np.argmax(every.real)]
+        return complex(pole.real, abs(pole.imag))
+
+    def follows(self, other: _Sample) -> bool:
+        """Whether poles of the two samples are the same ones, one by one."""
+        return np.array_equal(self.poles.multiplicity, other.poles.multiplicity)
+
+
+class _Search:
+    """The path with the poles of its last sample, from which the next ones start."""
+
+    def __init__(self, path: Path, log: bool) -> None:
+        self._path, self._log = path, log
+        self._near: ClosedLoopPoles | None = None
+
+    def value(self, u: float) -> float:
+        return float(np.exp(u)) if self._log else float(u)
+
+    def at(self, u: float, near: ClosedLoopPoles | None = None) -> _Sample:
+        self._near = self._path(self.value(u), near or self._near)
+        return _Sample(float(u), self._near)
+
+    def turns(self, samples: Sequence[_Sample]) -> Iterator[_Sample]:
+        """Samples where a pole that stays on its side of the axis comes closest to it and may cross it twice."""
+        for left, middle, right in zip(samples, samples[1:], samples[2:], strict=False):
+            if not (left.follows(middle) and middle.follows(right)):
+                continue
+            for k in _turning(*(each.poles.value.real for each in (left, middle, right))):
+                yield self._turn(left, middle, right, int(k))
+
+    def _turn(self, left: _Sample, middle: _Sample, right: _Sample, k: int) -> _Sample:
+        start = float(middle.poles.value.real[k])
+
+        def distance(u: float) -> float:
+            sample = self.at(u, middle.poles)
+            # Where two real poles have become a pair, pole k is another one: no better place than the middle.
+            return (
+                float(np.sign(start) * sample.poles.value.real[k]) if sample.follows(middle) else abs(start)
+            )
+
+        return self.at(_least(distance, left.at, right.at), middle.poles)
+
+    def handovers(self, samples: Sequence[_Sample]) -> Iterator[_Sample]:
+        """Samples where one growing pole calms down before another one starts to grow."""
+        for left, right in pairwise(samples):
+            if left.stable or right.stable or not left.follows(right):
+                continue
+            if not np.any((left.poles.value.real > 0) & (right.poles.value.real > 0)):
+                abscissa = lambda u, near=left.poles: self.at(u, near).poles.spectral_abscissa  # noqa: E731
+                yield self.at(_least(abscissa, left.at, right.at), left.poles)
+
+    def between(self, left: _Sample, right: _Sample) -> Boundary:
+        """The boundary between a stable and an unstable sample."""
+        near = left.poles
+
+        def abscissa(u: float) -> float:
+            return self.at(u, near).poles.spectral_abscissa
+
+        size = 1.0 if self._log else max(abs(left.at), abs(right.at))
+        u = optimize.brentq(abscissa, left.at, right.at, xtol=0.25 * TOLERANCE * size, rtol=1e-14)
+        return Boundary(self.value(u), left.stable, self.at(u, near).critical)
+
+
+def _turning(left: Any, middle: Any, right: Any) -> Iterator[np.intp]:
+    """Poles whose real part has its extreme nearest to zero at the middle sample, within reach of zero."""
+    before, after = np.abs(left) - np.abs(middle), np.abs(right) - np.abs(middle)
+    same = (np.sign(left) == np.sign(middle)) & (np.sign(right) == np.sign(middle))
+    near = np.abs(middle) < _REACH * np.maximum(before, after)
+    yield from np.flatnonzero(same & near & (before > 0) & (after > 0))
+
+
+def _least(f: Callable[[float], float], low: float, high: float) -> float:
+    """Where a function with one valley has its least value."""
+    found = optimize.minimize_scalar(
+        f, bounds=(low, high), method="bounded", options={"maxiter": _TURNS, "xatol": 1e-6 * (high - low)}
+    )
+    return float(found.x)

@@ -1,0 +1,171 @@
+"""Points of a sweep: from axes to rows of values, and from rows to designs of a system that is built once."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from scipy.stats import qmc
+
+from fosopt.actuators import Mirror
+from fosopt.ops import Array
+from fosopt.problem import Definitions, Design, Evaluation, System, Variable, design_parameters
+from fosopt.study.build import build_problem
+from fosopt.study.schema import Study
+from fosopt.study.schema_sweep import STRUCTURAL, Axis, Sweep
+
+Row = Mapping[str, Any]
+"""Values of all axes at a point, by quantity."""
+
+
+class Points:
+    """All points of a sweep, made as they are needed.
+
+    Attributes
+    ----------
+    axes
+        In the order of the results.
+    shape
+        Of the grid, or (count,).
+    """
+
+    def __init__(self, sweep: Sweep) -> None:
+        self.axes, self.count = sweep.ordered, sweep.count
+        self._drawn = None if sweep.sampling == "grid" else _drawn(sweep)
+        self._values = [_grid_values(axis) if self._drawn is None else np.zeros(0) for axis in self.axes]
+        self.shape = (self.count,) if self._drawn is not None else tuple(v.size for v in self._values)
+
+    @property
+    def grid(self) -> tuple[Array, ...] | None:
+        """Values along each axis of a grid, as `rows` gives them; None where points were drawn."""
+        return None if self._drawn is not None else tuple(self._values)
+
+    def rows(self, first: int, last: int) -> Array:
+        """(m, a) Numbers along each axis at points `first` to before `last`; a port by its place in the list."""
+        if self._drawn is not None:
+            return self._drawn[first:last]
+        places = np.unravel_index(np.arange(first, last), self.shape)
+        return np.column_stack([v[k] for v, k in zip(self._values, places, strict=True)])
+
+    def row(self, numbers: Array) -> Row:
+        """Values by quantity from the numbers of a point."""
+        return {axis.quantity: value_of(axis, x) for axis, x in zip(self.axes, numbers, strict=True)}
+
+    def blocks(self, longest: int) -> Iterator[tuple[int, int]]:
+        """Consecutive points on one structure, at most `longest`, as first and one past the last."""
+        structural = sum(axis.quantity in STRUCTURAL for axis in self.axes)
+        for begin in range(0, self.count, longest):
+            rows = self.rows(begin, min(begin + longest, self.count))[:, :structural]
+            cuts = 1 + np.flatnonzero(np.any(rows[1:] != rows[:-1], axis=1))
+            ends = [0, *cuts.tolist(), rows.shape[0]]
+            yield from ((begin + a, begin + b) for a, b in zip(ends[:-1], ends[1:], strict=True))
+
+
+def _grid_values(axis: Axis) -> Array:
+    if axis.list is not None:
+        return np.arange(len(axis.list), dtype=float) if axis.quantity == "mirror_port" else np.array(axis.list, float)
+    low, high = axis.ends
+    values = (np.linspace if axis.linear else np.geomspace)(low, high, axis.span.points)
+    values[[0, -1]] = low, high
+    return values
+
+
+def value_of(axis: Axis, number: float) -> Any:
+    """What a number of `Points.rows` stands for: a whole number of bays, the name of a port."""
+    if axis.quantity == "mirror_port":
+        assert axis.list is not None
+        return axis.list[int(number)]
+    return int(number) if axis.quantity == "bays" else float(number)
+
+
+def _drawn(sweep: Sweep) -> Array:
+    """(m, a) Points drawn from the whole box, sorted so that those of one structure stand together."""
+    kind = qmc.LatinHypercube if sweep.sampling == "latin_hypercube" else qmc.Sobol
+    engine = kind(len(sweep.axes), seed=sweep.seed)
+    if sweep.sampling == "sobol":
+        # SciPy warns of a count that is no power of two; taking the first points of one is the usual practice.
+        unit = engine.random(1 << (sweep.count - 1).bit_length())[: sweep.count]
+    else:
+        unit = engine.random(sweep.count)
+    columns = [_placed(axis, u) for axis, u in zip(sweep.ordered, unit.T, strict=True)]
+    rows = np.column_stack(columns)
+    return rows[np.lexsort(rows.T[::-1])]
+
+
+def _placed(axis: Axis, unit: Array) -> Array:
+    if axis.list is not None:
+        values = _grid_values(axis)
+        return values[np.minimum((unit * values.size).astype(int), values.size - 1)]
+    low, high = axis.ends
+    return low * (high / low) ** unit if axis.log else low + (high - low) * unit
+
+
+@dataclass(frozen=True)
+class Bench:
+    """A system with its modes, on which mirror and loop change from point to point.
+
+    Attributes
+    ----------
+    first
+        Evaluation of the base design, whose modes all points share.
+    """
+
+    system: System
+    base: Design
+    definitions: Definitions
+    first: Evaluation
+
+    def design(self, row: Row) -> Design:
+        """The design at a point."""
+        base = self.base
+        if "mirror_damping_ratio" in row:
+            old = base.loop.mirror
+            mirror = Mirror(
+                old.inertia, old.natural_frequency, row["mirror_damping_ratio"], old.reaction_mass
+            )
+            base = replace(base, loop=replace(base.loop, mirror=mirror))
+        variables = [_variable(q, x) for q, x in row.items() if q in _VARIABLES]
+        x = np.array([float(v.start[0]) for v in variables])
+        return base.with_parameters(design_parameters(self.system, base, self.definitions, variables, x))
+
+
+_VARIABLES = ("mirror_inertia", "mirror_inertia_ratio", "mirror_frequency", "gain", "crossover", "kp", "ki", "kd")
+
+
+def _variable(quantity: Any, value: float) -> Variable:
+    start = np.array([value])
+    return Variable(quantity, quantity, start - 1, start + 1 + value, start, log=False)
+
+
+def bench(study: Study, row: Row) -> Bench:
+    """The system of a study where the structural axes have the values of a point.
+
+    Raises
+    ------
+    StudyError
+        For what physics does not allow.
+    """
+    problem = build_problem(_with(study, row))
+    base = problem.base
+    if "area_scale" in row:
+        base = replace(base, area=base.area * row["area_scale"])
+        inertia_follows = design_parameters(problem.system, base, problem.definitions, (), np.zeros(0))
+        base = base.with_parameters(inertia_follows)
+    return Bench(problem.system, base, problem.definitions, Evaluation(problem.system, base))
+
+
+def _with(study: Study, row: Row) -> Study:
+    """The study as an analysis of one design, with the values of structural axes in its sections."""
+    structure, mirror, damping = study.structure, study.mirror, study.damping
+    if "bays" in row:
+        structure = structure.model_copy(update={"bays": row["bays"]})
+    if "mirror_port" in row:
+        mirror = mirror.model_copy(update={"port": row["mirror_port"]})
+    if "mirror_mass" in row:
+        mirror = mirror.model_copy(update={"mass": row["mirror_mass"], "mass_fraction": None})
+    if "damping_ratio" in row:
+        damping = damping.model_copy(update={"uniform": row["damping_ratio"], "per_mode": None, "table": None})
+    changes = {"structure": structure, "mirror": mirror, "damping": damping, "kind": "analysis", "sweep": None}
+    return study.model_copy(update=changes)
