@@ -17,16 +17,15 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import linalg
 
 from fosopt.actuators import Mirror
 from fosopt.modes import ModalSet
 from fosopt.ops import Array
+from fosopt.plant.expansion import coupled_expansion
 from fosopt.plant.interlacing import falling_roots
 from fosopt.plant.matrices import CoupledMatrices
 
 _TUNED = 1e-9
-_RIGID = 1e-12
 
 
 def secular_slope(stiffness: Any, eigenvalue: Any, g: Any, g_slope: Any) -> Any:
@@ -116,13 +115,11 @@ def modes_of_matrices(coupled: CoupledMatrices, mirror: Mirror) -> CoupledModes:
     J̄_k = J_m φ_jk (φ_ik − φ_hk) may have either sign where the loop is not bicollocated, and a mode has no zero
     of its own to be paired with.    [Barker1991] Eqs. (4.6), (4.7)
     """
-    eigenvalue, shapes = linalg.eigh(coupled.stiffness, coupled.mass)
-    eigenvalue = np.where(eigenvalue <= _RIGID * eigenvalue[-1], 0.0, eigenvalue)
-    reaction = mirror.inertia * (coupled.sensor @ shapes) * (coupled.control @ shapes)
-    reaction = np.where(eigenvalue == 0, 0.0, reaction)
-    none = np.full(eigenvalue.size, np.nan)
-    own = int(np.argmax(mirror.inertia * shapes[coupled.mirror] ** 2))
-    return CoupledModes(eigenvalue, np.zeros(eigenvalue.size), reaction, none, none, own)
+    modes = coupled_expansion(coupled)
+    reaction = mirror.inertia * modes.residue
+    none = np.full(reaction.size, np.nan)
+    own = int(np.argmax(np.abs(reaction)))
+    return CoupledModes(modes.stiffness, np.zeros(reaction.size), reaction, none, none, own)
 
 
 def coupled_modes(modes: ModalSet, mirror: Mirror, mirror_port: str) -> CoupledModes:

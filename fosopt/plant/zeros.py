@@ -96,7 +96,7 @@ def mirror_zeros(
     elsewhere than its spring has the zeros of 1 + κ(s)(g_rr − g_rh), κ = c_m s + k_m: the poles of the structure on
     which a still mirror's spring and damper, moved by port r, push on port h what they pull from port r. Without
     damping, φ_rk (φ_rk − φ_hk) of one sign over all modes leaves them on the two axes, a real pair appearing when the
-    static 1 + k_m (g_rr − g_rh) falls below zero; both signs also give quadruples.
+    static 1 + k_m (g_rr − g_rh) falls below zero; with both signs there may be quadruples.
 
     Parameters
     ----------
@@ -184,8 +184,8 @@ def _from_squares(square: ComplexArray) -> ComplexArray:
     root = np.sqrt(np.abs(square.real))
     on_axis = np.where(square.real >= 0, 1j * root, root)
     s = np.where(square.imag == 0, on_axis, np.sqrt(-square))
-    # Adding 0.0 leaves no minus zero.
-    return np.concatenate([s, -s]) + 0.0
+    # Adding zero leaves no minus zero.
+    return np.concatenate([s, -s]) + 0j
 
 
 def _ordered(s: ComplexArray) -> ComplexArray:
