@@ -205,7 +205,11 @@ class Placement:
 
     @property
     def bicollocated(self) -> bool:
-        """Whether sensor = action degree of freedom and reaction = reference degree of freedom."""
+        """Whether sensor = action degree of freedom and reaction = reference degree of freedom.
+
+        With both on the mirror, zeros are those of the structure alone and never nonminimum phase; with both on the
+        structure there is no such guarantee.
+        """
         return self.sensor == self.action and self.reaction is None
 
     @property
