@@ -522,7 +522,9 @@ def drawing(tmp_path):
     assert process.stderr.readline().startswith("[1/99] figure-3.1: matches")
     yield process
     process.kill()
-    process.communicate()
+    process.wait()
+    process.stdout.close()
+    process.stderr.close()
 
 
 def test_ctrl_c_at_a_terminal_reaches_the_drawing_processes_and_leaves_them_alone(drawing, tmp_path):
@@ -530,6 +532,7 @@ def test_ctrl_c_at_a_terminal_reaches_the_drawing_processes_and_leaves_them_alon
     stdout, stderr = drawing.communicate(timeout=60)
     assert drawing.returncode == 130
     assert "Traceback" not in stderr
+    assert stdout.endswith("in a browser\n")
     assert "failed" not in stdout
     assert "Interrupted" in (tmp_path / "out" / "index.html").read_text(encoding="utf-8")
 

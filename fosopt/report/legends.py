@@ -108,7 +108,7 @@ def _above(axes: Axes, handles: dict[str, Any]) -> None:
         if columns == 1 or legend.get_window_extent().width < axes.bbox.width:
             break
     if axes.get_title():
-        points = legend.get_window_extent().height * 72 / axes.get_figure(root=True).dpi  # type: ignore[union-attr]
+        points = legend.get_window_extent().height * 72 / axes.figure.dpi
         axes.set_title(axes.get_title(), pad=points + 3)
 
 
@@ -117,7 +117,7 @@ def _covers(legend: Legend, axes: Axes) -> bool:
     extent = legend.get_window_extent()
     if extent.width > axes.bbox.width or extent.height > axes.bbox.height:
         return True
-    box = extent.padded(_CLEAR * legend.get_figure(root=True).dpi / 72)  # type: ignore[union-attr]
+    box = extent.padded(_CLEAR * axes.figure.dpi / 72)
     stems = (
         collection.get_transform().transform_path(path)
         for collection in axes.collections

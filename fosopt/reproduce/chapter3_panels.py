@@ -35,7 +35,7 @@ def locus_panel(case: Case, x_range: Range | None, y_range: Range | None, *, equ
             *(Curve(np.real(b), np.imag(b), "" if k else "locus") for k, b in enumerate(branches.T)),
             points(branches[0], "poles of the loop", "crosses"),
             points(case.loop_zeros, "zeros of the loop", "points"),
-            points(end, f"closed loop, K = {case.locus.gain[-1]:.0f}", "points"),
+            points(end, f"closed loop, K = {case.locus.gain[-1]:.0f}", "squares"),
         ),
         x_range=x_range,
         y_range=y_range,
