@@ -17,7 +17,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 
 RESULTS = Path(__file__).with_name("results.md")
-LIBRARIES = ("numpy", "scipy", "casadi")
+LIBRARIES = ("numpy", "scipy", "casadi", "numba")
 _THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS")
 _HEAD = (
     "# Benchmarks\n\nRatios against what a user would do instead, measured in one run. "

@@ -100,7 +100,7 @@ class PlainModel:
         ratio = np.full(frequency.size, p.damping_ratio)
         frequency[0], ratio[0] = p.hub_bandwidth, p.hub_damping_ratio
         inertia, kp, ki, kd = design[-LOOP_VARIABLES:]
-        loop = _closed_loop(p, frequency, ratio, shapes[0], shapes[-1], inertia, kp, ki, kd)
+        loop = closed_loop_of(p, frequency, ratio, shapes[0], shapes[-1], inertia, kp, ki, kd)
         return float(frequency[1]), loop
 
 
@@ -130,7 +130,7 @@ def plain_model(p: Numbers) -> PlainModel:
     return PlainModel(p, stiffness[:, 2:, 2:].copy(), mass[:, 2:, 2:].copy(), constant[2:, 2:], bar_mass)
 
 
-def _closed_loop(
+def closed_loop_of(
     p: Numbers,
     frequency: Array,
     ratio: Array,

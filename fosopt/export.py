@@ -60,6 +60,8 @@ def write_csv(run: Mapping[str, Any], path: Path) -> None:
     }
     for name, values in _metrics(run).items():
         columns[_free(name, columns)] = list(values)
+    for name, values in _bounds(run).items():
+        columns[_free(name, columns)] = list(values)
     for part in ("slack", "multiplier"):
         for name, values in _constraints(run, part).items():
             columns[_free(f"{part}_{name}", columns)] = list(values)
@@ -104,8 +106,8 @@ def write_json(run: Mapping[str, Any], path: Path) -> None:
 def write_mat(run: Mapping[str, Any], path: Path) -> None:
     """Write the points as MATLAB arrays with one row each, NaN where a value is missing.
 
-    ``metrics``, ``variables``, ``slack`` and ``multiplier`` are structs of arrays, ``objectives`` is a matrix
-    with one column for each of ``objective_names``. ``labels`` names the groups of a variable, and ``units``
+    ``metrics``, ``bounds``, ``variables``, ``slack`` and ``multiplier`` are structs of arrays, ``objectives`` is a
+    matrix with one column for each of ``objective_names``. ``labels`` names the groups of a variable, and ``units``
     gives the unit by the name of a column.
 
     Parameters
@@ -146,6 +148,7 @@ def write_mat(run: Mapping[str, Any], path: Path) -> None:
         "objectives": numbers([*zip(*columns, strict=True)], len(columns)),
         "objective_names": texts(_field(name) for name in names),
         "metrics": _struct(metrics, numbers),
+        "bounds": _struct(_bounds(run), numbers),
         "variables": _struct(
             {_column(run, name)[0]: rows for name, rows in variables.items()},
             lambda rows: numbers(rows, len(rows[0])),
@@ -209,6 +212,19 @@ def _metrics(run: _Row) -> dict[str, list[float | None]]:
         column, factor = _column(run, name)
         values = (point["metrics"].get(name) for point in _points(run))
         columns[_free(column, columns)] = [None if value is None else value * factor for value in values]
+    return columns
+
+
+def _bounds(run: _Row) -> dict[str, list[float | None]]:
+    """Two columns per bound: its value, and the share of what a point has by which another could be better."""
+    columns: dict[str, list[float | None]] = {}
+    points = _points(run)
+    for row, point in enumerate(points):
+        for bound in point.get("bounds", ()):
+            name, factor = _column(run, bound["name"])
+            value = bound["value"]
+            columns.setdefault(name, [None] * len(points))[row] = None if value is None else value * factor
+            columns.setdefault(f"{bound['name']}_gap", [None] * len(points))[row] = bound["gap"]
     return columns
 
 

@@ -196,6 +196,9 @@ class Dual:
     value: Any
     slope: Any
 
+    # An array on the left leaves the operation to the methods below.
+    __array_ufunc__ = None
+
     def __add__(self, other: Any) -> Dual:
         if not isinstance(other, Dual):
             return Dual(self.value + other, self.slope)

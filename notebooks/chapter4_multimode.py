@@ -40,9 +40,8 @@ for k in above[np.argsort(share[above])[::-1][:3]]:
 # %%
 for percent in (0.02, 0.2, 2.0, 20.0):
     for model in ("reduced", "full"):
-        print(
-            f"{percent:5} % {system.order(model):6s} {system.stability(percent, model):8s} {system.growth(percent, model)}"
-        )
+        verdict, how = system.stability(percent, model), system.growth(percent, model)
+        print(f"{percent:5} % {system.order(model):6s} {verdict:8s} {how}")
 
 # %% [markdown]
 # ## Why a truth model

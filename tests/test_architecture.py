@@ -48,6 +48,7 @@ RANKS = {
     "problem": 8,
     "solve": 9,
     "relax": 9,
+    "account": 10,
     "certify": 10,
     "report": 11,
     "export": 11,

@@ -11,7 +11,8 @@ import reference
 from scipy import linalg
 
 from fosopt.actuators import Mirror
-from fosopt.control import PID, Loop, closed_loop_poles, closed_loop_state_space
+from fosopt.control import PID, ClosedLoopPoles, Loop, closed_loop_poles, closed_loop_state_space
+from fosopt.control.open_loop import OpenLoopPoles
 from fosopt.errors import ModelError
 from fosopt.metrics.boundary import Boundary, boundary_mode, branches, stability_boundaries
 from fosopt.metrics.functional import LoopModel
@@ -49,6 +50,39 @@ def test_a_window_of_instability_narrower_than_the_samples_is_found(width):
     found = stability_boundaries(gain_path(kp, ki, kd), 0.1, 1e4)
     assert [b.loses for b in found] == [True, False]
     assert [b.value for b in found] == pytest.approx([low, low * (1 + width)], rel=1e-6)
+
+
+def drawn_path(*real_parts):
+    """Poles whose real parts are given functions of the parameter."""
+
+    def path(value, near):
+        pole = np.array([f(value) + 10j * (k + 1) for k, f in enumerate(real_parts)])
+        nothing = np.zeros(0, dtype=complex)
+        open_loop = OpenLoopPoles(
+            nothing, nothing, np.zeros((0, 2)), None, np.zeros(0, bool), nothing, drifting=False
+        )
+        return ClosedLoopPoles(pole, np.zeros_like(pole), np.full(pole.size, 2), open_loop)
+
+    return path
+
+
+def test_a_stable_window_between_two_growing_poles_is_found():
+    path = drawn_path(lambda x: 1.0 - x, lambda x: x - 1.01, lambda x: -5.0)
+    found = stability_boundaries(path, -1.0, 4.0, log=False, samples=4)
+    assert [b.loses for b in found] == [False, True]
+    assert [b.value for b in found] == pytest.approx([1.0, 1.01], rel=1e-8)
+    assert [b.frequency for b in found] == pytest.approx([10.0, 20.0], rel=1e-8)
+
+
+def test_poles_that_keep_their_distance_are_not_searched():
+    calls = []
+
+    def counted(x):
+        calls.append(x)
+        return -5.0 + 0.1 * np.sin(20 * x)
+
+    assert stability_boundaries(drawn_path(counted), 0.0, 1.0, log=False, samples=10) == []
+    assert len(calls) == 10
 
 
 def inertia_path(modes, of):

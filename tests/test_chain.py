@@ -124,7 +124,11 @@ def test_the_chain_is_the_modified_benchmark_problem(case):
     [
         ({"a": 1.0}, (), "1 bodies; give two or more"),
         ({"a": 1.0, "b": 1.0}, (), "2 bodies need 1 springs, one between each two neighbors; 0 given"),
-        ({"a": 1.0, "b": 1.0}, (1.0, 1.0), "2 bodies need 1 springs, one between each two neighbors; 2 given"),
+        (
+            {"a": 1.0, "b": 1.0},
+            (1.0, 1.0),
+            "2 bodies need 1 springs, one between each two neighbors; 2 given",
+        ),
         ({"a": 1.0, "b": 0.0}, (1.0,), "body 'b': inertia 0.0 is not above zero"),
         ({"a": nan, "b": 1.0}, (1.0,), "body 'a': inertia nan is not above zero"),
         ({"a": 1.0, "b": 1.0}, (-1.0,), "between 'a' and 'b': stiffness -1.0 is not above zero"),

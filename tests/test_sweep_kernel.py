@@ -79,6 +79,17 @@ def test_repeated_structural_frequencies_leave_one_mode_between_them():
     same_as_one_by_one(modes, np.geomspace(1e-3, 1e3, 9), 25.0, 1e-9)
 
 
+def test_modes_of_one_frequency_act_as_one_and_leave_the_other_where_it_is():
+    twins = plain([10.0, 20.0, 20.0, 35.0], [0.5, 0.3, 0.4, 0.7])
+    one = plain([10.0, 20.0, 35.0], [0.5, 0.5, 0.7])
+    inertia = np.geomspace(1e-3, 1e3, 9)
+    same_as_one_by_one(twins, inertia, 25.0)
+    found = coupled_sweep(twins, "tip", inertia, 25.0).natural_frequency
+    expected = coupled_sweep(one, "tip", inertia, 25.0).natural_frequency
+    for row, alone in zip(found, expected, strict=True):
+        assert np.sort(row) == pytest.approx(np.sort([*alone, 20.0]), rel=1e-12)
+
+
 def test_a_mirror_on_nothing_that_moves_is_alone():
     swept = coupled_sweep(plain([10.0, 20.0], [0.0, 0.0]), "tip", np.array([1.0, 2.0]), 15.0)
     assert swept.natural_frequency == pytest.approx(np.array([[10.0, 15.0, 20.0]] * 2), rel=1e-12)

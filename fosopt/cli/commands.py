@@ -39,6 +39,8 @@ _RUN_HELP = """Solve a study and write its results.
 Results go to a directory: report.html to look at, front.csv and front.json for other programs, study.yaml and
 designs/ to run again, run.sqlite as the record that 'fosopt export' reads. A point is on disk as soon as it is
 finished. Ctrl-C ends the run after what is at hand; a second Ctrl-C ends it at once.
+A sweep leaves points.csv, boundary.csv, arrays/ with one .npy file per axis and output, sweep.mat where these are not
+large, and sweep.json, which names them all with their units.
 """
 _RUN_EPILOG = """\b
 Exit codes:
@@ -101,6 +103,7 @@ def run(
     """Solve a study and write its results."""
     from fosopt.cli.outcome import closing, exit_code, summary
     from fosopt.cli.progress import watching
+    from fosopt.cli.sweep import sweep_closing, sweep_code, sweep_summary, watching_sweep
 
     started = time.monotonic()
     with interruptible() as stop:
@@ -109,13 +112,15 @@ def run(
 
         study = load_study(study_file, assignments or ())
         directory = _fresh_directory(study_file) if out is None else out
-        with watching(study) as watch:
+        sweep = study.kind == "sweep"
+        with watching_sweep() if sweep else watching(study) as watch:
             data = run_study(study, directory, progress=watch, stop=stop)
-        code = exit_code(data, stopped=stop())
+        code = sweep_code(data) if sweep else exit_code(data, stopped=stop())
     seconds = time.monotonic() - started
     if as_json:
-        say(json.dumps(summary(data, directory, code, seconds), allow_nan=False))
-    for line in closing(data, directory, seconds):
+        said = (sweep_summary if sweep else summary)(data, directory, code, seconds)
+        say(json.dumps(said, allow_nan=False))
+    for line in (sweep_closing if sweep else closing)(data, directory, seconds):
         say(line, error=as_json)
     raise typer.Exit(code)
 

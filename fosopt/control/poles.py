@@ -22,7 +22,7 @@ from fosopt.errors import SolverError
 from fosopt.modes import ModalSet
 from fosopt.ops import Array, ComplexArray, Dual
 
-_MAX_ITERATIONS = 60
+MAX_ITERATIONS = 60
 _CONVERGED = 1e-9  # relative step of a shift; convergence is at least quadratic, so it leaves nothing
 _TRACE = 1e-8
 
@@ -89,13 +89,13 @@ def closed_loop_poles(
     open_loop = open_loop_poles(loop, modes, mirror_port)
     if near is not None and np.array_equal(near.open_loop.first, open_loop.first):
         followed = _aberth(loop, open_loop, near.base, near.shift, near.multiplicity)
-        if followed is not None and _complete(loop, open_loop, followed):
+        if followed is not None and complete(loop, open_loop, followed):
             return followed
     base, shift, multiplicity = _start(loop, open_loop)
     found = _aberth(loop, open_loop, base, shift, multiplicity)
-    if found is None or not _complete(loop, open_loop, found):
+    if found is None or not complete(loop, open_loop, found):
         found = _dense(loop, modes, mirror_port, open_loop)
-        if not _complete(loop, open_loop, found):
+        if not complete(loop, open_loop, found):
             raise SolverError(
                 "closed-loop poles: the set found violates the sum of poles (trace); rescale gains or inertia"
             )
@@ -172,42 +172,63 @@ def _aberth(
     shift: ComplexArray,
     multiplicity: NDArray[np.intp],
 ) -> ClosedLoopPoles | None:
-    pid = loop.controller
     moving = (open_loop.first != 0).astype(float)
     needed = _needed(loop)
     pair = multiplicity == 2
     mirrored, shift = base[pair].conj(), shift.copy()
     rows = np.arange(base.size)  # poles that still move
     with np.errstate(all="ignore"):
-        for _ in range(_MAX_ITERATIONS):
+        for _ in range(MAX_ITERATIONS):
             b, d = base[rows], shift[rows]
             s = b + d
             inverse, logarithmic = open_loop.factors(b, d)
             pairs = open_loop.summed(inverse, logarithmic, s, needed)
-            delta = characteristic(loop, Dual(s, 1.0), _of(pairs))
-            known = logarithmic @ moving
-            if pid.ki:
-                known = known + 1 / s
-            if pid.rolloff_time and pid.kd:
-                known = known + pid.rolloff_time / (1 + pid.rolloff_time * s)
             apart = (b[:, None] - base) + (d[:, None] - shift)
             apart[np.arange(rows.size), rows] = np.inf
             repulsion = (1 / apart).sum(axis=1)
             repulsion += (1 / ((b[:, None] - mirrored) + (d[:, None] - shift[pair].conj()))).sum(axis=1)
-            # Multiplied through by Δ, so that a shift that is already exact gives a step of zero.
-            step = delta.value / (delta.slope + delta.value * (known - repulsion))
+            step = aberth_step(loop, s, _of(pairs), logarithmic @ moving, repulsion)
             step = np.where(pair[rows], step, step.real)
             if not np.all(np.isfinite(step)):
                 return None
             shift[rows] = d = d - step
-            size = np.abs(step)
-            rows = rows[(size > _CONVERGED * np.abs(d)) & (size > 1e-15 * np.abs(s))]
+            rows = rows[moves(step, d, s)]
             if rows.size == 0:
                 return ClosedLoopPoles(base, shift, multiplicity, open_loop)
     return None
 
 
-def _complete(loop: Loop, open_loop: OpenLoopPoles, poles: ClosedLoopPoles) -> bool:
+def aberth_step(
+    loop: Loop, s: ComplexArray, g: Receptances, known: ComplexArray, repulsion: ComplexArray
+) -> ComplexArray:
+    """Step from (m,) poles towards the zeros of Δ(s) Π_k D_k(s).    [Aberth1973]
+
+    Parameters
+    ----------
+    g
+        Receptances at `s` with their derivatives.
+    known
+        Σ_k D_k′/D_k.
+    repulsion
+        Σ 1/(s − p) over all other poles p.
+    """
+    pid = loop.controller
+    delta = characteristic(loop, Dual(s, 1.0), g)
+    if np.any(pid.ki):
+        known = known + 1 / s
+    if np.any(pid.rolloff_time) and np.any(pid.kd):
+        known = known + pid.rolloff_time / (1 + pid.rolloff_time * s)
+    # Multiplied through by Δ, so that a shift that is already exact gives a step of zero.
+    return delta.value / (delta.slope + delta.value * (known - repulsion))
+
+
+def moves(step: ComplexArray, shift: ComplexArray, s: ComplexArray) -> NDArray[np.bool_]:
+    """Which poles a step still moves by more than rounding."""
+    size = np.abs(step)
+    return (size > _CONVERGED * np.abs(shift)) & (size > 1e-15 * np.abs(s))
+
+
+def complete(loop: Loop, open_loop: OpenLoopPoles, poles: ClosedLoopPoles) -> bool:
     """Whether the poles add up to the trace of the closed loop, which a missing or doubled pole would break."""
     pid = loop.controller
     value, weight = poles.value, poles.multiplicity
@@ -254,7 +275,7 @@ def _dense(loop: Loop, modes: ModalSet, mirror_port: str, open_loop: OpenLoopPol
         base = np.where(close, nearest, kept)
     shift = kept - base
     polished = _aberth(loop, open_loop, base, np.where(shift == 0, 1e-14 * np.abs(base), shift), multiplicity)
-    if polished is not None and _complete(loop, open_loop, polished):
+    if polished is not None and complete(loop, open_loop, polished):
         return polished
     return ClosedLoopPoles(base, shift, multiplicity, open_loop)
 

@@ -199,18 +199,17 @@ class _Search:
             if left.stable or right.stable or not left.follows(right):
                 continue
             if not np.any((left.poles.value.real > 0) & (right.poles.value.real > 0)):
-                abscissa = lambda u, near=left.poles: self.at(u, near).poles.spectral_abscissa  # noqa: E731
-                yield self.at(_least(abscissa, left.at, right.at), left.poles)
+                yield self.at(_least(self.abscissa(left.poles), left.at, right.at), left.poles)
+
+    def abscissa(self, near: ClosedLoopPoles) -> Callable[[float], float]:
+        """The spectral abscissa along the path, its poles found from those of a neighbor."""
+        return lambda u: self.at(u, near).poles.spectral_abscissa
 
     def between(self, left: _Sample, right: _Sample) -> Boundary:
         """The boundary between a stable and an unstable sample."""
         near = left.poles
-
-        def abscissa(u: float) -> float:
-            return self.at(u, near).poles.spectral_abscissa
-
         size = 1.0 if self._log else max(abs(left.at), abs(right.at))
-        u = optimize.brentq(abscissa, left.at, right.at, xtol=0.25 * TOLERANCE * size, rtol=1e-14)
+        u = optimize.brentq(self.abscissa(near), left.at, right.at, xtol=0.25 * TOLERANCE * size, rtol=1e-14)
         return Boundary(self.value(u), left.stable, self.at(u, near).critical)
 
 

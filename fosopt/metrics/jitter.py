@@ -11,14 +11,22 @@ filters with repeated poles use a quadrature that is refined at every resonance 
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from math import inf, pi
 
 import numpy as np
+from numpy.typing import NDArray
 
-from fosopt.control import NUMERATORS, ClosedLoopPoles, Receptances, characteristic, closed_loop_response
+from fosopt.control import (
+    NUMERATORS,
+    ClosedLoopPoles,
+    Loop,
+    Receptances,
+    characteristic,
+    closed_loop_response,
+)
 from fosopt.errors import UnstableError
 from fosopt.metrics.disturbances import Disturbance, refuse_infinite_variance
 from fosopt.metrics.functional import Functional, LoopModel
@@ -66,50 +74,82 @@ def jitter_variances(
 
 def _apart(poles: ClosedLoopPoles, disturbance: Disturbance) -> bool:
     """Whether no pole of the shaping filter meets one of the loop, where residues of both grow without limit."""
-    shape = disturbance.filter
-    assert shape is not None
-    if not shape.poles.size:
-        return True
-    known = np.concatenate([poles.value, poles.value.conj()])
-    return bool(np.all(np.abs(shape.poles[:, None] - known) > _MEETING * np.abs(shape.poles)[:, None]))
+    return bool(apart(poles.value, disturbance))
+
+
+def apart(value: ComplexArray, disturbance: Disturbance) -> NDArray[np.bool_]:
+    """(...,) The same for (..., m) poles, upper ones of their pairs."""
+    assert disturbance.filter is not None
+    own = disturbance.filter.poles[:, None]
+    # Poles of a filter come with their conjugates, so that those of the loop need not.
+    return np.all(np.abs(own - value[..., None, :]) > _MEETING * np.abs(own), axis=(-2, -1))
 
 
 def pole_residues(model: LoopModel, poles: ClosedLoopPoles, response: str) -> ComplexArray:
     """(m,) Residues N(p)/Δ'(p) of a closed-loop transfer function at the poles the loop moves."""
-    return _residues(model, poles, [response])[response]
-
-
-def _residues(model: LoopModel, poles: ClosedLoopPoles, responses: Iterable[str]) -> dict[str, ComplexArray]:
     g = poles.receptances()
     slope = characteristic(model.loop, Dual(poles.value, 1.0), g).slope
     at_poles = Receptances.of([pair.value for pair in g.values])
-    return {name: NUMERATORS[name](model.loop, poles.value, at_poles) / slope for name in set(responses)}
+    return NUMERATORS[response](model.loop, poles.value, at_poles) / slope
 
 
 def _by_residues(
     model: LoopModel, poles: ClosedLoopPoles, disturbances: Sequence[Disturbance], shift: float
 ) -> Iterator[Variance]:
     """Variances of rational spectra, all on the same points: mirrored poles of the loop and of the filters."""
-    residues = _residues(model, poles, (d.at for d in disturbances))
-    filters = [d.filter for d in disturbances if d.filter is not None]
-    none: ComplexArray = np.zeros(0, dtype=complex)
-    filter_poles = model.points(np.concatenate([none, *(f.poles for f in filters)]))
-    filter_residues = np.concatenate([none, *(f.residues for f in filters)])
-    owner = np.concatenate([none, *(np.full(f.poles.size, k) for k, f in enumerate(filters))])
+    filter_poles = model.points(poles_of_filters(disturbances))
     every: ComplexArray = np.concatenate([poles.value, filter_poles.s])
     mirrored = model.points(2 * shift - every)
-    loop = model.loop
-    at_filters = characteristic(loop, filter_poles.s, filter_poles.g)
-    at_mirrored = characteristic(loop, mirrored.s, mirrored.g)
-    for k, (disturbance, shape) in enumerate(zip(disturbances, filters, strict=True)):
-        at_loop = poles.multiplicity * residues[disturbance.at] * shape.response(poles.value)
-        numerator = NUMERATORS[disturbance.at]
-        through = numerator(loop, filter_poles.s, filter_poles.g) / at_filters
-        at_filter = np.where(owner == k, through * filter_residues, 0.0)
-        weight = np.concatenate([at_loop, at_filter]) * shape.response(mirrored.s)
-        response = numerator(loop, mirrored.s, mirrored.g) / at_mirrored
+    g = poles.receptances()
+    slope = characteristic(model.loop, Dual(poles.value, 1.0), g).slope
+    at_poles = poles.value, Receptances.of([pair.value for pair in g.values])
+    there = at_poles, (filter_poles.s, filter_poles.g), (mirrored.s, mirrored.g)
+    terms = residue_terms(model.loop, disturbances, poles.multiplicity / slope, *there)
+    for disturbance, (weight, response) in zip(disturbances, terms, strict=True):
         value = float(np.sum(weight * response).real)
         yield Variance(value, (Functional(disturbance.at, mirrored, 2 * weight),))
+
+
+def poles_of_filters(disturbances: Sequence[Disturbance]) -> ComplexArray:
+    """(f,) Poles of all shaping filters one after another [rad/s]."""
+    none: ComplexArray = np.zeros(0, dtype=complex)
+    return np.concatenate([none, *(d.filter.poles for d in disturbances if d.filter is not None)])
+
+
+Place = tuple[ComplexArray, Receptances]
+"""Points of the complex plane with the receptances there."""
+
+
+def residue_terms(
+    loop: Loop,
+    disturbances: Sequence[Disturbance],
+    strength: ComplexArray,
+    at_poles: Place,
+    at_filters: Place,
+    at_mirrored: Place,
+) -> Iterator[tuple[ComplexArray, ComplexArray]]:
+    """Terms r_i and H(−p_i) of J = Σ_i r_i H(−p_i) for each disturbance.    [Gugercin2008]
+
+    All arrays may have leading axes, one loop to a line.
+
+    Parameters
+    ----------
+    strength
+        (..., m) multiplicity over Δ′ at the poles of the loop.
+    at_poles, at_filters, at_mirrored
+        (..., m) poles of the loop, (f,) poles of all filters, (..., m + f) the mirror images of both.
+    """
+    filters = [d.filter for d in disturbances if d.filter is not None]
+    owner = np.concatenate([np.full(f.poles.size, k) for k, f in enumerate(filters)] or [np.zeros(0)])
+    own_residues = np.concatenate([np.zeros(0, dtype=complex), *(f.residues for f in filters)])
+    below, below_mirrored = characteristic(loop, *at_filters), characteristic(loop, *at_mirrored)
+    for k, (disturbance, shape) in enumerate(zip(disturbances, filters, strict=True)):
+        numerator = NUMERATORS[disturbance.at]
+        at_loop = strength * numerator(loop, *at_poles) * shape.response(at_poles[0])
+        through = numerator(loop, *at_filters) / below
+        at_filter = np.where(owner == k, through * own_residues, 0.0)
+        weight = np.concatenate([at_loop, at_filter], axis=-1) * shape.response(at_mirrored[0])
+        yield weight, numerator(loop, *at_mirrored) / below_mirrored
 
 
 def _by_quadrature(

@@ -26,6 +26,7 @@ from fosopt.plant.interlacing import falling_roots
 from fosopt.plant.matrices import CoupledMatrices
 
 _TUNED = 1e-9
+_SAME = 1e-13
 
 
 def secular_slope(stiffness: Any, eigenvalue: Any, g: Any, g_slope: Any) -> Any:
@@ -130,10 +131,7 @@ def coupled_modes(modes: ModalSet, mirror: Mirror, mirror_port: str) -> CoupledM
     SolverError
         If a root does not settle in its interval.
     """
-    shape2 = modes.at(mirror_port) ** 2
-    uncoupled = modes.stiffness
-    order = np.argsort(uncoupled, kind="stable")
-    uncoupled, shape2 = uncoupled[order], shape2[order]
+    uncoupled, shape2 = seen_by_mirror(modes, mirror_port)
     moved = (shape2 > 0) & (uncoupled > 0)
     base, distance, reaction = _roots(mirror, uncoupled, shape2, moved)
     poles = uncoupled[moved]
@@ -157,6 +155,20 @@ def coupled_modes(modes: ModalSet, mirror: Mirror, mirror_port: str) -> CoupledM
     )
     mirror_mode = int(np.flatnonzero(position == below)[0])
     return CoupledModes(base[position], distance[position], reaction, zero, separation, mirror_mode)
+
+
+def seen_by_mirror(modes: ModalSet, mirror_port: str) -> tuple[Array, Array]:
+    """Uncoupled eigenvalues ascending [rad²/s²], and φ² at the mirror's port.
+
+    Modes of one and the same eigenvalue act as one with the sum of their φ²; the others stand still there.
+    """
+    shape2, uncoupled = modes.at(mirror_port) ** 2, modes.stiffness
+    order = np.argsort(uncoupled, kind="stable")
+    uncoupled, shape2 = uncoupled[order], shape2[order]
+    for i in np.flatnonzero((np.diff(uncoupled) <= _SAME * uncoupled[1:]) & (uncoupled[1:] > 0)):
+        shape2[i + 1] += shape2[i]
+        shape2[i] = 0.0
+    return uncoupled, shape2
 
 
 def _roots(

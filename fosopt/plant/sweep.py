@@ -17,7 +17,7 @@ from fosopt.actuators import Mirror
 from fosopt.errors import SolverError
 from fosopt.modes import ModalSet
 from fosopt.ops import Array
-from fosopt.plant.coupled import CoupledModes, mirror_mode_index, secular, secular_slope
+from fosopt.plant.coupled import CoupledModes, mirror_mode_index, secular, secular_slope, seen_by_mirror
 
 _MOST_STEPS = 200
 # Newton converges quadratically: after a step this small (relative) what is left is rounding.
@@ -96,9 +96,7 @@ def coupled_sweep(
     wrong = ~(np.isfinite(inertia) & (inertia > 0) & np.isfinite(frequency) & (frequency >= 0))
     for j, w in zip(inertia[wrong][:1], frequency[wrong][:1], strict=True):
         Mirror(j, w, 0.0)  # refuses it, in the words of one mirror
-    shape2, uncoupled = modes.at(mirror_port) ** 2, modes.stiffness
-    order = np.argsort(uncoupled, kind="stable")
-    uncoupled, shape2 = uncoupled[order], shape2[order]
+    uncoupled, shape2 = seen_by_mirror(modes, mirror_port)
     moved = (shape2 > 0) & (uncoupled > 0)
     poles, weight = uncoupled[moved], shape2[moved]
     free = float(shape2[uncoupled == 0].sum())
@@ -121,7 +119,8 @@ def coupled_sweep(
     still = uncoupled[~moved]
     if still.size:
         arrays, below = _with_still_modes(arrays, still, below)
-    return CoupledSweep(*arrays, below)
+    base, distance, reaction, zero, separation = arrays
+    return CoupledSweep(base, distance, reaction, zero, separation, below)
 
 
 def _with_still_modes(

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -75,6 +75,34 @@ class Evaluation:
             self.modes,
         )
         beside._near = self.__dict__.get("poles", self._near)
+        return beside
+
+    def neighbors(self, designs: Sequence[Design]) -> list[Evaluation]:
+        """Evaluations of designs that differ in mirror and controller only, with their poles and jitter found together.
+
+        What cannot be found together is left to each of them.
+        """
+        # numba takes a while to import, and only this needs it.
+        from fosopt.control.many import many_closed_loop_poles
+        from fosopt.metrics.jitter_many import many_jitter_variances
+
+        beside = [self.neighbor(design) for design in designs]
+        found = many_closed_loop_poles([design.loop for design in designs], self.poles)
+        good = []
+        for k, known in enumerate(found):
+            if known is not None:
+                good.append(k)
+                beside[k].poles = known
+        if not good or not self.system.disturbances:
+            return beside
+        loops, poles = [designs[k].loop for k in good], [beside[k].poles for k in good]
+        port, disturbances = self.system.mirror_port, self.system.disturbances
+        squares = many_jitter_variances(loops, poles, self.modes, port, disturbances)
+        for k, row in zip(good, squares.tolist(), strict=True):
+            if not any(np.isnan(row)):
+                beside[k].mean_squares = {
+                    f"jitter_{d.name}": x for d, x in zip(disturbances, row, strict=True)
+                }
         return beside
 
     @cached_property
@@ -195,13 +223,13 @@ class Evaluation:
             frequency, functional = margins.crossover(self.model, self.poles)
             return _Found(frequency, lambda: self._loop_gradient([functional]))
         if name == "spectral_abscissa":
-            return self._decays[0]
+            return _Found(self.poles.spectral_abscissa, lambda: self._decays[0].gradient)
         return self._rigid(name)
 
     @cached_property
     def _decays(self) -> list[_Found]:
         rightmost = margins.rightmost_poles(self.model, self.poles, BRANCHES["spectral_abscissa"])
-        return [_Found(real, lambda each=(real, f): self._decay_gradient(*each)) for real, f in rightmost]
+        return [_Found(real, partial(self._decay_gradient, real, f)) for real, f in rightmost]
 
     def _decay_gradient(self, real: float, functional: Functional | None) -> Array:
         if functional is not None:
@@ -335,19 +363,29 @@ class Evaluation:
         found = jitter_variances(self.model, self.poles, disturbances, self.shift)
         return {f"jitter_{d.name}": variance for d, variance in zip(disturbances, found, strict=True)}
 
+    @cached_property
+    def mean_squares(self) -> dict[str, float]:
+        """Mean square jitter of each disturbance, by metric name [rad²]."""
+        return {name: variance.value for name, variance in self.variances.items()}
+
     def _jitter(self, names: Sequence[str]) -> _Found:
-        rms = float(np.sqrt(sum(self.variances[name].value for name in names)))
+        rms = float(np.sqrt(sum(self.mean_squares[name] for name in names)))
         if rms == 0:
             # A disturbance that cannot reach the line of sight has no jitter, and no slope of its own.
             return _Found(rms, self._no_gradient)
-        functionals = [f for name in names for f in self.variances[name].functionals]
-        return _Found(rms, lambda: self._loop_gradient(functionals) / (2 * rms))
+        return _Found(
+            rms,
+            lambda: (
+                self._loop_gradient([f for name in names for f in self.variances[name].functionals])
+                / (2 * rms)
+            ),
+        )
 
     @cached_property
     def _margins(self) -> list[_Found]:
         values, functionals = margins.modulus_margins(self.model, self.poles, BRANCHES["modulus_margin"])
         return [
-            _Found(float(v), lambda f=f: self._loop_gradient([f]))
+            _Found(float(v), partial(self._loop_gradient, [f]))
             for v, f in zip(values, functionals, strict=True)
         ]
 
@@ -356,9 +394,7 @@ class Evaluation:
         if self.system.step is None:
             raise ModelError("step metrics need a step command; add one to the system")
         found = step_metrics(self.model, self.poles, self.system.step)
-        return {
-            name: _Found(value, lambda f=f: self._loop_gradient([f])) for name, (value, f) in found.items()
-        }
+        return {name: _Found(value, partial(self._loop_gradient, [f])) for name, (value, f) in found.items()}
 
     def _weights_gradient(self, stiffness: Array, mass: Array) -> Array:
         """From derivatives for the row weights of K and M to one over `Design.parameters`."""

@@ -67,15 +67,15 @@ def document(run: Mapping[str, object]) -> str:
     library: str = get_plotlyjs()
     points = [_without_false_numbers(point) for point in _points(run)]
     return Template((assets / "report.html").read_text(encoding="utf-8")).substitute(
-        policy=_policy([library, script], evaluates=len(points) > WEBGL_POINTS),
+        policy=policy([library, script], evaluates=len(points) > WEBGL_POINTS),
         style=(assets / "report.css").read_text(encoding="utf-8"),
-        data=_embeddable({**run, "points": points}),
+        data=embeddable({**run, "points": points}),
         plotly=library,
         script=script,
     )
 
 
-def _policy(scripts: list[str], *, evaluates: bool) -> str:
+def policy(scripts: list[str], *, evaluates: bool) -> str:
     """A content security policy that allows these inline scripts and no request at all."""
     digests = (base64.b64encode(hashlib.sha256(text.encode()).digest()).decode() for text in scripts)
     sources = [f"'sha256-{digest}'" for digest in digests]
@@ -89,7 +89,7 @@ def _policy(scripts: list[str], *, evaluates: bool) -> str:
     )
 
 
-def _embeddable(data: object) -> str:
+def embeddable(data: object) -> str:
     """JSON that no HTML parser can mistake for markup: ASCII, without ``<``, ``>`` and ``&``."""
     text = json.dumps(data, allow_nan=False, ensure_ascii=True, separators=(",", ":"))
     return text.replace("<", "\\u003c").replace(">", "\\u003e").replace("&", "\\u0026")

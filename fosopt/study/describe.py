@@ -10,6 +10,7 @@ from fosopt.study.schema_actuators import Actuator
 from fosopt.study.schema_names import MEMBERS, SIGNAL
 from fosopt.study.schema_rules import dimension_of, expression_dimension, variable_dimension
 from fosopt.study.schema_structures import Structure
+from fosopt.study.schema_sweep import AXES, Sweep
 from fosopt.study.schema_system import Disturbance, Filter
 from fosopt.units import DIMENSIONS, HZ, dimension_name, display, show
 
@@ -20,8 +21,11 @@ def describe_study(study: Study) -> list[str]:
     """Lines of plain text that state the problem: what is minimized, over what, subject to what."""
     lines = [study.name]
     lines += [line.rstrip() for line in study.description.splitlines() if line.strip()]
-    lines += ["", *_block("problem" if study.kind == "codesign" else "analysis", _problem(study))]
-    lines += ["", *_block("variables", (_variable(study, each) for each in study.variables))]
+    if study.sweep is not None:
+        lines += ["", *_block("sweep", _sweep(study.sweep))]
+    else:
+        lines += ["", *_block("problem" if study.kind == "codesign" else "analysis", _problem(study))]
+        lines += ["", *_block("variables", (_variable(study, each) for each in study.variables))]
     lines += ["", *_block("system", _system(study))]
     lines += ["", *_block("disturbances", (_disturbance(each) for each in study.disturbances))]
     return lines
@@ -68,6 +72,27 @@ def _problem(study: Study) -> Iterator[str]:
         yield f"{'case':<12}{case.name}: free {free}"
     for name, value in study.requirements.items():
         yield f"{'required':<12}{name} ≤ {_amount(study, parse_expression(name), value)}"
+
+
+def _sweep(sweep: Sweep) -> Iterator[str]:
+    for k, axis in enumerate(sweep.ordered):
+        dimension = AXES[axis.quantity].dimension if axis.quantity in AXES else None
+        shown = [show(x, dimension) if dimension else str(x) for x in axis.list or axis.ends]
+        if axis.list is not None:
+            text = ", ".join(shown[:8]) + (f", ... ({len(shown)})" if len(shown) > 8 else "")
+        else:
+            points = f", {axis.span.points} points" if axis.span.points else ""
+            text = f"{shown[0]} to {shown[1]}, {'equal ratios' if axis.log else 'equal steps'}{points}"
+        yield f"{'' if k else 'over':<12}{axis.name}: {text}"
+    how = (
+        "the full grid"
+        if sweep.sampling == "grid"
+        else f"{sweep.sampling.replace('_', ' ')}, seed {sweep.seed}"
+    )
+    yield f"{'points':<12}{sweep.count}, {how}"
+    yield f"{'outputs':<12}{', '.join(each.text for each in sweep.outputs)}"
+    if sweep.boundary is not None:
+        yield f"{'boundaries':<12}of stability along {sweep.boundary.along}"
 
 
 def _indexed(variable: Variable) -> str:

@@ -17,6 +17,7 @@ from fosopt.report import write_report
 from fosopt.study.files import side_files
 from fosopt.study.load import dump_study
 from fosopt.study.schema import Study
+from fosopt.study.schema_names import BOUNDS
 from fosopt.study.schema_rules import expression_dimension, known_metrics, variable_dimension
 from fosopt.units import DIMENSIONLESS, Vector, column, dimension_name, display
 
@@ -90,6 +91,8 @@ def run_header(study: Study, problem: Problem) -> dict[str, Any]:
         label = variable.name.replace("_", " ")
         dimension = variable_dimension(study, variable)
         quantities.setdefault(variable.name, quantity_entry(dimension, label, variable.name))
+    if study.certificates is not None:
+        quantities |= {name: quantity_entry(b.dimension, b.label, name) for name, b in BOUNDS.items()}
     objectives = [o.minimize.text for o in study.objectives]
     given = [(o.minimize, o.label, "objective") for o in study.objectives]
     given += [(c.metric, c.label, "constraint") for c in study.constraints]

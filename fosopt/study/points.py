@@ -3,24 +3,32 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
 
+from fosopt.account import PidSearch, account
 from fosopt.certify import Certificate, certify
 from fosopt.errors import FosoptError
 from fosopt.ops import Array
-from fosopt.problem import Problem
+from fosopt.problem import Constraint, Problem
 from fosopt.solve import Outcome
 from fosopt.solve.front import objective_value
 from fosopt.solve.strategies import Goal
 from fosopt.study.detail import detail_of
 from fosopt.study.schema import Study
+from fosopt.study.schema_certificates import Certificates
 
 
-def judged_point(problem: Problem, position: int, case: str | None, outcome: Outcome) -> dict[str, Any]:
-    """An outcome with its certificate as a point of the run data."""
+def judged_point(
+    problem: Problem,
+    position: int,
+    case: str | None,
+    outcome: Outcome,
+    bounds: Certificates | None = None,
+) -> dict[str, Any]:
+    """An outcome with its certificate, and the bounds asked for, as a point of the run data."""
     begin = time.perf_counter()
     goal, solution = outcome.goal, outcome.solution
     judged = outcome.strategy != "sequential"
@@ -55,6 +63,8 @@ def judged_point(problem: Problem, position: int, case: str | None, outcome: Out
         starts={"tried": outcome.tried, "agreed": outcome.agreed} if outcome.tried > 1 else None,
         history=[[i, _finite(o), _finite(v)] for i, o, v in solution.history],
         goal=goal,
+        bounds=bounds,
+        constraints=goal.constraints,
     )
 
 
@@ -62,13 +72,17 @@ def judged_point(problem: Problem, position: int, case: str | None, outcome: Out
 _SAME = 1e-6
 
 
-def evaluated_point(problem: Problem, x: Array, key: str, label: str) -> dict[str, Any]:
+def evaluated_point(
+    problem: Problem, x: Array, key: str, label: str, bounds: Certificates | None = None
+) -> dict[str, Any]:
     """A design that was not searched for, judged as it is."""
     begin = time.perf_counter()
     certificate = certify(problem, x, problem.constraints)
     status = "evaluated" if certificate.stable else "unstable"
     seconds = time.perf_counter() - begin
-    return _point(problem, x, certificate, key=key, label=label, status=status, seconds=seconds)
+    return _point(
+        problem, x, certificate, key=key, label=label, status=status, seconds=seconds, bounds=bounds
+    )
 
 
 def _point(
@@ -88,8 +102,11 @@ def _point(
     starts: dict[str, int] | None = None,
     history: list[list[Any]] | None = None,
     goal: Goal | None = None,
+    bounds: Certificates | None = None,
+    constraints: Sequence[Constraint] = (),
 ) -> dict[str, Any]:
     sound = certificate.stable and status in ("optimal", "evaluated")
+    verified = certificate.verified if status == "optimal" else sound and not _doubts(certificate)
     return {
         "key": key,
         "label": label,
@@ -97,7 +114,7 @@ def _point(
         "strategy": strategy,
         "objective": None if goal is None else goal.objective.text,
         "status": status,
-        "verified": certificate.verified if status == "optimal" else sound and not _doubts(certificate),
+        "verified": verified,
         "dominated": False,
         "reason": reason or ("; ".join(certificate.reasons) or None),
         "parent": parent,
@@ -123,9 +140,33 @@ def _point(
             }
             for c in certificate.constraints
         ],
+        "bounds": _bounds(problem, x, constraints, bounds) if verified and bounds is not None else [],
         "history": history or [],
         "detail": detail_of(problem.evaluate(x, truth=True)),
     }
+
+
+def _bounds(
+    problem: Problem, x: Array, constraints: Sequence[Constraint], asked: Certificates
+) -> list[dict[str, Any]]:
+    """The two-sided account of a design as plain numbers and text."""
+    pid = None if asked.pid is None else PidSearch(asked.pid.time_limit, asked.pid.gap)
+    entries = account(
+        problem, x, constraints, structure=asked.structure, any_controller=asked.any_controller, pid=pid
+    )
+    return [
+        {
+            "name": entry.name,
+            "value": _finite(entry.value),
+            "reached": entry.reached,
+            "gap": _finite(entry.gap),
+            "of": entry.of,
+            "assumptions": list(entry.assumptions),
+            "allowance": entry.allowance,
+            "remark": entry.remark,
+        }
+        for entry in entries
+    ]
 
 
 def state_prices(point: dict[str, Any], quantities: Mapping[str, Mapping[str, Any]]) -> None:

@@ -125,7 +125,11 @@ def _points(
     """Points of the run data, the start design first."""
     analysis = study.kind == "analysis"
     yield evaluated_point(
-        problem, start, "000" if analysis else "start", "design" if analysis else "start design"
+        problem,
+        start,
+        "000" if analysis else "start",
+        "design" if analysis else "start design",
+        study.certificates if analysis else None,
     )
     if analysis:
         return
@@ -142,7 +146,7 @@ def _points(
             for _, o in solve_cases(problem, start, [("optimum", everything_free(problem))], how, stop)
         )
     for position, (case, outcome) in enumerate(outcomes):
-        yield judged_point(problem, position, case, outcome)
+        yield judged_point(problem, position, case, outcome, study.certificates)
 
 
 def _masks(study: Study, problem: Problem) -> list[tuple[str, NDArray[np.bool_]]]:

@@ -35,6 +35,7 @@ from fosopt.study.schema_base import (
     Stiffness,
     unique,
 )
+from fosopt.study.schema_certificates import Certificates
 from fosopt.study.schema_rules import check_study
 from fosopt.study.schema_structures import Structure
 from fosopt.study.schema_sweep import Sweep
@@ -305,6 +306,7 @@ class Study(Section):
     front: Front | None = None
     solve: Solve = Solve()
     cases: tuple[Case, ...] = ()
+    certificates: Certificates | None = None
     sweep: Sweep | None = None
     requirements: dict[str, AnyQuantity] = Field(default_factory=dict)
     design: dict[Identifier, Values] = Field(default_factory=dict)

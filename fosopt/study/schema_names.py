@@ -40,6 +40,14 @@ METRICS: dict[str, Metric] = {
 
 JITTER = Metric("angle", "jitter")
 
+BOUNDS: dict[str, Metric] = {
+    "mass_lower_bound": Metric("mass", "least mass for the requirements"),
+    "mass_lower_bound_same_frequency": Metric("mass", "least mass for this first frequency"),
+    "jitter_bound_pid": Metric("angle", "least jitter with a PID in the box"),
+    "jitter_bound_any": Metric("angle", "least jitter with any controller"),
+}
+"""Bounds that go with a point, on its structure alone and on its controller alone."""
+
 MEMBERS = ("area", "batten_mass", "spring_stiffness")
 """Quantities that have one value per member of the structure; the others have one value."""
 

@@ -46,7 +46,7 @@ STRUCTURAL = ("bays", "mirror_port", "mirror_mass", "area_scale", "damping_ratio
 STABLE, ONE_MINUS = "stable", "one_minus_separation"
 """Outputs of a sweep that are no metrics: stability as 0 or 1, and 1 − β_k of every mode to its last digit."""
 _EXCLUSIVE = (("gain", "crossover"), ("mirror_inertia", "mirror_inertia_ratio"))
-_MOST_POINTS = 1_000_000_000
+_MOST_POINTS, _MOST_BAYS = 1_000_000_000, 5000
 
 
 class _Span(Section):
@@ -54,7 +54,8 @@ class _Span(Section):
 
 
 # 'from' is no name Python can spell.
-Range: Any = create_model("Range", __base__=_Span, **{"from": (float, ...), "to": (float, ...)})
+_ENDS: dict[str, Any] = {"from": (float, ...), "to": (float, ...)}
+Range: Any = create_model("Range", __base__=_Span, **_ENDS)
 
 
 class Axis(Section):
@@ -119,13 +120,12 @@ def _value(quantity: str, value: object, *at: str | int) -> object:
     """A value of an axis in SI units, refused where it is out of the physical range."""
     if quantity in AXES:
         return parsed(value, AXES[quantity], *at)
-    kind = int if quantity == "bays" else str
-    if (
-        not isinstance(value, kind)
-        or isinstance(value, bool)
-        or (quantity == "bays" and not 1 <= value <= 5000)
-    ):
-        wanted = "a whole number from 1 to 5000" if quantity == "bays" else "the name of a port"
+    if quantity == "bays":
+        good = isinstance(value, int) and not isinstance(value, bool) and 1 <= value <= _MOST_BAYS
+    else:
+        good = isinstance(value, str)
+    if not good:
+        wanted = f"a whole number from 1 to {_MOST_BAYS}" if quantity == "bays" else "the name of a port"
         raise RuleError(f"{quote(value)} is not allowed; give {wanted}", *at)
     return value
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import re
 import time
 from collections.abc import Callable, Iterator
@@ -13,8 +14,8 @@ from typing import Any
 import numpy as np
 
 from fosopt.errors import FosoptError
-from fosopt.export import write_json
 from fosopt.expressions import Expression
+from fosopt.files import replacing
 from fosopt.ops import Array
 from fosopt.study.build import build_problem
 from fosopt.study.directory import make_directory, quantity_entry, run_header, with_inputs
@@ -28,7 +29,7 @@ from fosopt.study.sweep_boundary import find_boundaries, write_boundaries
 from fosopt.study.sweep_outputs import Chunk, Outputs
 from fosopt.study.sweep_points import Bench, Points, Row, bench
 from fosopt.study.sweep_store import SweepStore, array_files, refuse_too_large
-from fosopt.units import DIMENSIONLESS
+from fosopt.units import DIMENSIONLESS, DIMENSIONS, Vector, dimension_name
 
 SUMMARY = "sweep.json"
 """What a sweep was, with the names, units and files of all its axes and outputs."""
@@ -56,7 +57,8 @@ class _Plan:
             row = {**points.row(points.rows(0, 1)[0]), "bays": max(bays)}
             modes = bench(study, row).first.modes.natural_frequency.size
         _check_modes(study, sweep, first, modes)
-        return cls(points, outputs, first, outputs.widths(modes))
+        bodies = 1 + sum(1 for _ in first.base.loop.attachments)
+        return cls(points, outputs, first, outputs.widths(modes, modes + bodies))
 
 
 def _check_modes(study: Study, sweep: Sweep, first: Bench, modes: int) -> None:
@@ -112,7 +114,8 @@ def run_sweep(
             reason=tally.reason,
             seconds=time.perf_counter() - begin,
         )
-        write_json(run, out / SUMMARY)
+        with replacing(out / SUMMARY) as temporary:
+            temporary.write_text(json.dumps(run, allow_nan=False, indent=1) + "\n", encoding="utf-8")
 
     quantities = run["quantities"]
     head = [quantities[name]["column"] for name in names]
@@ -173,7 +176,8 @@ def _structural(points: Points, row: Row) -> tuple[Any, ...]:
 
 def _nothing(count: int, outputs: Outputs, widths: dict[str, int]) -> Chunk:
     return Chunk(
-        np.full((count, len(outputs.scalars)), nan), {name: np.full((count, n), nan) for name, n in widths.items()}
+        np.full((count, len(outputs.scalars)), nan),
+        {name: np.full((count, n), nan) for name, n in widths.items()},
     )
 
 
@@ -182,7 +186,8 @@ def _header(study: Study, plan: _Plan) -> dict[str, Any]:
     points, outputs = plan.points, plan.outputs
     header = run_header(study, build_problem(study))
     quantities = {
-        axis.name: quantity_entry(_dimension(axis), axis.name.replace("_", " "), axis.name) for axis in points.axes
+        axis.name: quantity_entry(_dimension(axis), axis.name.replace("_", " "), axis.name)
+        for axis in points.axes
     }
     for expression in outputs.scalars:
         quantities[expression.text] = header["quantities"].get(expression.text) or _entry(study, expression)
@@ -196,6 +201,7 @@ def _header(study: Study, plan: _Plan) -> dict[str, Any]:
         {
             "name": axis.name,
             "quantity": axis.quantity,
+            "unit": _unit(_dimension(axis)),
             "file": files[axis.name],
             "scale": "log" if axis.log else "linear",
             "labels": list(axis.list) if axis.quantity == "mirror_port" and axis.list is not None else None,
@@ -203,11 +209,24 @@ def _header(study: Study, plan: _Plan) -> dict[str, Any]:
         }
         for k, axis in enumerate(points.axes)
     ]
-    arrays = [
-        {"name": name, "file": files[name], "dimensions": ["point"], "shape": [points.count]} for name in scalars
+    arrays: list[dict[str, Any]] = [
+        {
+            "name": e.text,
+            "unit": _unit(None if e.text == STABLE else expression_dimension(study, e)),
+            "file": files[e.text],
+            "dimensions": ["point"],
+            "shape": [points.count],
+        }
+        for e in outputs.scalars
     ]
     arrays += [
-        {"name": name, "file": files[name], "dimensions": ["point", "mode"], "shape": [points.count, width]}
+        {
+            "name": name,
+            "unit": _unit(METRICS[name].dimension if name in METRICS else None),
+            "file": files[name],
+            "dimensions": ["point", "mode"],
+            "shape": [points.count, width],
+        }
         for name, width in plan.widths.items()
     ]
     return {
@@ -216,7 +235,7 @@ def _header(study: Study, plan: _Plan) -> dict[str, Any]:
         "kind": study.kind,
         "sampling": study.sweep.sampling if study.sweep else "",
         "shape": list(points.shape),
-        "points": points.count,
+        "count": points.count,
         "axes": axes,
         "outputs": arrays,
         "quantities": quantities,
@@ -228,6 +247,12 @@ def _header(study: Study, plan: _Plan) -> dict[str, Any]:
 
 def _dimension(axis: Axis) -> str:
     return (AXES[axis.quantity].dimension or "ratio") if axis.quantity in AXES else "ratio"
+
+
+def _unit(dimension: str | Vector | None) -> str:
+    """Unit of the numbers in the arrays."""
+    kind = dimension_name(dimension or DIMENSIONLESS) if not isinstance(dimension, str) else dimension
+    return "SI" if kind is None else DIMENSIONS[kind].unit
 
 
 def _entry(study: Study, expression: Expression) -> dict[str, Any]:

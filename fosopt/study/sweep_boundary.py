@@ -97,7 +97,9 @@ def write_boundaries(
     with path.open("w", encoding="utf-8", newline="") as stream:
         writer = csv.writer(stream, lineterminator="\n")
         head = [quantities[name]["column"] for name in names]
-        writer.writerow([*head, "rising", "frequency_hz", "structural_mode", "structure_frequency_hz", "branch"])
+        writer.writerow(
+            [*head, "rising", "frequency_hz", "structural_mode", "structure_frequency_hz", "branch"]
+        )
         for each in found:
             cells = [_cell(each["at"][name], quantities[name]["column_factor"]) for name in names]
             writer.writerow(

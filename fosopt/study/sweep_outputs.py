@@ -9,7 +9,6 @@ from typing import Any
 
 import numpy as np
 
-from fosopt.control import Loop
 from fosopt.errors import FosoptError, ModelError, UnstableError
 from fosopt.expressions import Expression
 from fosopt.metrics.inertias import modal_inertia
@@ -73,9 +72,9 @@ class Outputs:
         """Whether closed-loop poles are needed."""
         return any(_asks(e, (STABLE, *_NEEDS_LOOP, *_NEEDS_STABILITY)) for e in self.scalars)
 
-    def widths(self, modes: int) -> dict[str, int]:
-        """Columns of each array where the design model keeps a number of modes."""
-        return {name: modes + (name not in _OF_STRUCTURE) for name in self.arrays}
+    def widths(self, modes: int, coupled: int) -> dict[str, int]:
+        """Columns of each array where the structure has a number of modes, and all bodies together another."""
+        return {name: modes if name in _OF_STRUCTURE else coupled for name in self.arrays}
 
     def chunk(self, bench: Bench, rows: Sequence[Row], widths: dict[str, int]) -> Chunk:
         """All outputs at points on one structure."""
@@ -83,14 +82,24 @@ class Outputs:
             np.full((len(rows), len(self.scalars)), nan),
             {name: np.full((len(rows), width), nan) for name, width in widths.items()},
         )
-        designs: list[Design | None] = [self._design(bench, row) for row in rows]
-        last = bench.first
-        for k, design in enumerate(designs):
-            if design is not None and (self.scalars or not design.loop.plain):
-                last = last.neighbor(design)
-                self._scalars(last, found.scalars[k])
-        self._arrays(bench, designs, found.arrays)
+        made = [(k, self._design(bench, row)) for k, row in enumerate(rows)]
+        places = [k for k, design in made if design is not None]
+        designs = [design for _, design in made if design is not None]
+        if not designs:
+            return found
+        evaluations = self._evaluations(bench, designs)
+        for k, evaluation in zip(places, evaluations if self.scalars else (), strict=False):
+            self._scalars(evaluation, found.scalars[k])
+        self._arrays(bench, places, evaluations, found.arrays)
         return found
+
+    def _evaluations(self, bench: Bench, designs: Sequence[Design]) -> list[Evaluation]:
+        if self.needs_loop:
+            try:
+                return bench.first.neighbor(designs[0]).neighbors(designs)
+            except FosoptError:
+                pass  # each of them says what is wrong with it
+        return [bench.first.neighbor(design) for design in designs]
 
     def _design(self, bench: Bench, row: Row) -> Design | None:
         try:
@@ -120,36 +129,31 @@ class Outputs:
         if failure is not None:
             self.tally.fail(failure)
 
-    def _arrays(self, bench: Bench, designs: Sequence[Design | None], into: dict[str, Array]) -> None:
-        if not into:
-            return
-        evaluation = bench.first
+    def _arrays(
+        self, bench: Bench, places: Sequence[int], evaluations: Sequence[Evaluation], into: dict[str, Array]
+    ) -> None:
+        first = bench.first
         for name in set(into) & set(_OF_STRUCTURE):
-            modes = evaluation.modes
-            own = modes.natural_frequency if name == "structure_frequency" else _modal(evaluation)
+            own = first.modes.natural_frequency if name == "structure_frequency" else _modal(first)
             into[name][:, : own.size] = own
         names = [name for name in into if name not in _OF_STRUCTURE]
-        good = [k for k, design in enumerate(designs) if design is not None]
-        loops: list[Loop] = [designs[k].loop for k in good]  # type: ignore[union-attr]
-        if not names or not good:
+        if not names:
             return
-        if loops[0].plain:
+        mirrors = [each.design.loop.mirror for each in evaluations]
+        if evaluations[0].design.loop.plain:
             # numba takes a while to import, and only this needs it.
             from fosopt.plant.sweep import coupled_sweep
 
-            inertia = np.array([loop.mirror.inertia for loop in loops])
-            frequency = np.array([loop.mirror.natural_frequency for loop in loops])
-            swept = coupled_sweep(evaluation.modes, bench.system.mirror_port, inertia, frequency)
+            inertia = np.array([mirror.inertia for mirror in mirrors])
+            frequency = np.array([mirror.natural_frequency for mirror in mirrors])
+            swept = coupled_sweep(first.modes, bench.system.mirror_port, inertia, frequency)
             for name in names:
                 values = _mode_values(swept, name, inertia[:, None])
-                into[name][good, : values.shape[1]] = values
+                into[name][places, : values.shape[1]] = values
             return
-        for k in good:
-            design = designs[k]
-            assert design is not None
-            coupled = evaluation.neighbor(design).coupled
+        for k, evaluation, mirror in zip(places, evaluations, mirrors, strict=True):
             for name in names:
-                values = _mode_values(coupled, name, design.loop.mirror.inertia)
+                values = _mode_values(evaluation.coupled, name, mirror.inertia)
                 into[name][k, : values.size] = values
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -60,12 +61,16 @@ class Points:
             rows = self.rows(begin, min(begin + longest, self.count))[:, :structural]
             cuts = 1 + np.flatnonzero(np.any(rows[1:] != rows[:-1], axis=1))
             ends = [0, *cuts.tolist(), rows.shape[0]]
-            yield from ((begin + a, begin + b) for a, b in zip(ends[:-1], ends[1:], strict=True))
+            yield from ((begin + a, begin + b) for a, b in pairwise(ends))
 
 
 def _grid_values(axis: Axis) -> Array:
     if axis.list is not None:
-        return np.arange(len(axis.list), dtype=float) if axis.quantity == "mirror_port" else np.array(axis.list, float)
+        return (
+            np.arange(len(axis.list), dtype=float)
+            if axis.quantity == "mirror_port"
+            else np.array(axis.list, float)
+        )
     low, high = axis.ends
     values = (np.linspace if axis.linear else np.geomspace)(low, high, axis.span.points)
     values[[0, -1]] = low, high
@@ -131,7 +136,16 @@ class Bench:
         return base.with_parameters(design_parameters(self.system, base, self.definitions, variables, x))
 
 
-_VARIABLES = ("mirror_inertia", "mirror_inertia_ratio", "mirror_frequency", "gain", "crossover", "kp", "ki", "kd")
+_VARIABLES = (
+    "mirror_inertia",
+    "mirror_inertia_ratio",
+    "mirror_frequency",
+    "gain",
+    "crossover",
+    "kp",
+    "ki",
+    "kd",
+)
 
 
 def _variable(quantity: Any, value: float) -> Variable:
@@ -150,9 +164,8 @@ def bench(study: Study, row: Row) -> Bench:
     problem = build_problem(_with(study, row))
     base = problem.base
     if "area_scale" in row:
+        # Inertia and gain follow the areas where they are given by ratios: `Bench.design` sees to it.
         base = replace(base, area=base.area * row["area_scale"])
-        inertia_follows = design_parameters(problem.system, base, problem.definitions, (), np.zeros(0))
-        base = base.with_parameters(inertia_follows)
     return Bench(problem.system, base, problem.definitions, Evaluation(problem.system, base))
 
 
@@ -166,6 +179,14 @@ def _with(study: Study, row: Row) -> Study:
     if "mirror_mass" in row:
         mirror = mirror.model_copy(update={"mass": row["mirror_mass"], "mass_fraction": None})
     if "damping_ratio" in row:
-        damping = damping.model_copy(update={"uniform": row["damping_ratio"], "per_mode": None, "table": None})
-    changes = {"structure": structure, "mirror": mirror, "damping": damping, "kind": "analysis", "sweep": None}
+        damping = damping.model_copy(
+            update={"uniform": row["damping_ratio"], "per_mode": None, "table": None}
+        )
+    changes = {
+        "structure": structure,
+        "mirror": mirror,
+        "damping": damping,
+        "kind": "analysis",
+        "sweep": None,
+    }
     return study.model_copy(update=changes)

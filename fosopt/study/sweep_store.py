@@ -6,7 +6,7 @@ import csv
 import os
 import re
 import shutil
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
@@ -79,7 +79,7 @@ class SweepStore:
         head: Sequence[str],
         factors: Sequence[float],
         widths: dict[str, int],
-        labels: dict[str, Sequence[str]],
+        labels: Mapping[str, Sequence[str]],
     ) -> None:
         (directory / "arrays").mkdir()
         files = array_files((*scalars, *widths))
@@ -107,8 +107,9 @@ class SweepStore:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        for each in (*self._columns, *self._arrays.values(), self._table):
+        for each in (*self._columns, *self._arrays.values()):
             each.close()
+        self._table.close()
 
 
 def _cell(value: float, names: Sequence[str] | None) -> Any:
@@ -123,7 +124,9 @@ def array_files(names: Iterable[str]) -> dict[str, str]:
     for name in names:
         plain = re.sub(r"[^A-Za-z0-9]+", "_", name).strip("_")[:60] or "output"
         same = sum(f.startswith(f"arrays/{plain}") for f in files.values())
-        files[name] = f"arrays/{plain}{f'__{same + 1}' if same and f'arrays/{plain}.npy' in files.values() else ''}.npy"
+        files[name] = (
+            f"arrays/{plain}{f'__{same + 1}' if same and f'arrays/{plain}.npy' in files.values() else ''}.npy"
+        )
     return files
 
 

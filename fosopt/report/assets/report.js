@@ -28,6 +28,15 @@ const PANELS = [
     constraintsTable,
   ],
   [
+    "account",
+    "full",
+    null,
+    () =>
+      "Two-sided account: what this design has against what provably no other could. Structures are compared with the " +
+      "structure's requirements alone, controllers on this very structure.",
+    accountTable,
+  ],
+  [
     "jitter",
     "half",
     "",

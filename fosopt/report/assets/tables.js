@@ -222,6 +222,41 @@ function modesCaption(point) {
   );
 }
 
+// What provably no other design reaches: a bar from the bound to what this design has.
+function accountTable(point) {
+  const bounds = point.bounds ?? [];
+  if (!bounds.length) return null;
+  const rows = bounds.map(({ name, value, reached, gap, of, assumptions, remark }) => {
+    const { label, unit, factor } = quantity(name);
+    // From zero to the bound; the rest of the gauge is what could be gained.
+    const bar = typeof gap === "number" ? signedBar(Math.min(Math.max(1 - gap, 0), 1), { low: 0, high: 1 }) : "";
+    const said = element(
+      "details",
+      {},
+      element("summary", {}, of ? "bound of what, and when" : "why there is none"),
+      ...[of ? `${of}.` : "", ...(assumptions ?? []).map((each) => `Holds if ${each}.`), remark ? `${remark}.` : ""]
+        .filter(Boolean)
+        .map((text) => element("p", {}, text)),
+    );
+    return element(
+      "tr",
+      {},
+      rowHead(label),
+      cell(withUnit(number(reached * factor), unit), "n"),
+      cell(value === null ? missing : withUnit(number(value * factor), unit), "n"),
+      cell(bar, "bars"),
+      cell(gap === null ? missing : `${number(100 * gap, 3)} %`, "n"),
+      cell(said),
+    );
+  });
+  return table(
+    "Two-sided account",
+    [["Bound"], ["This design", "n"], ["None below", "n"], ["", "bars"], ["Could be better by at most", "n"], [""]],
+    rows,
+    "account",
+  );
+}
+
 function constraintsTable(point) {
   const constraints = point.constraints ?? [];
   if (!constraints.length) return null;
