@@ -147,7 +147,7 @@ class OpenLoop:
 
     def responses(self, s: ComplexArray, at: str) -> tuple[ComplexArray, ComplexArray]:
         """(m,), (m,) Line-of-sight error and measured signal per disturbance that enters at `at`."""
-        impedance, sensor, mirror, g = self._plant(s)
+        impedance, _, _, g = self._plant(s)
         loop = self.model.loop
         if loop.placement.sensor is None:
             if at == "sensor_noise":
