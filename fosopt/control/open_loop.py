@@ -107,7 +107,7 @@ class OpenLoopPoles:
 
 def open_loop_poles(loop: Loop, modes: ModalSet, mirror_port: str) -> OpenLoopPoles:
     """Open-loop poles of a modal set and what is attached to it, split by whether the loop can move them."""
-    shapes = np.column_stack([modes.at(port) for port in loop.ports(mirror_port)])
+    shapes = np.array([modes.at(port) for port in loop.ports(mirror_port)]).T
     if not loop.bare:
         return _with_attachments(loop, modes, mirror_port, shapes)
     stiffness, half = modes.stiffness, 0.5 * modes.damping

@@ -9,6 +9,7 @@ accuracy however small it is.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -189,7 +190,7 @@ def _aberth(
             repulsion += (1 / ((b[:, None] - mirrored) + (d[:, None] - shift[pair].conj()))).sum(axis=1)
             step = aberth_step(loop, s, _of(pairs), logarithmic @ moving, repulsion)
             step = np.where(pair[rows], step, step.real)
-            if not np.all(np.isfinite(step)):
+            if not np.isfinite(step).all():
                 return None
             shift[rows] = d = d - step
             rows = rows[moves(step, d, s)]
@@ -214,12 +215,17 @@ def aberth_step(
     """
     pid = loop.controller
     delta = characteristic(loop, Dual(s, 1.0), g)
-    if np.any(pid.ki):
+    if _present(pid.ki):
         known = known + 1 / s
-    if np.any(pid.rolloff_time) and np.any(pid.kd):
+    if _present(pid.rolloff_time) and _present(pid.kd):
         known = known + pid.rolloff_time / (1 + pid.rolloff_time * s)
     # Multiplied through by Δ, so that a shift that is already exact gives a step of zero.
     return delta.value / (delta.slope + delta.value * (known - repulsion))
+
+
+def _present(gain: Any) -> bool:
+    """Whether a gain, or one of many, is not zero; spelled out because it is asked four times a pole search."""
+    return bool(gain.any()) if isinstance(gain, np.ndarray) else gain != 0
 
 
 def moves(step: ComplexArray, shift: ComplexArray, s: ComplexArray) -> NDArray[np.bool_]:

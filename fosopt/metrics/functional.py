@@ -88,4 +88,4 @@ class LoopModel:
     @cached_property
     def _pairs(self) -> Array:
         shapes = [self.modes.at(port) for port in self.loop.ports(self.mirror_port)]
-        return np.column_stack([shapes[a] * shapes[b] for a, b in self.loop.pairs])
+        return np.array([shapes[a] * shapes[b] for a, b in self.loop.pairs]).T
