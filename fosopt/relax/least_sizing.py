@@ -73,8 +73,9 @@ def least_sizing(sizing: Sizing, around: Array, tolerance: float = 1e-9, rounds:
     x = np.clip(around, sizing.lower, sizing.upper)
     guesses = [np.zeros((r.size, 0)) for r in sizing.requirements]
     best, proof, last, still, short, parallel = -inf, None, -inf, 0, inf, _PARALLEL
+    responses = [_response(r, x) for r in sizing.requirements]
     for count in range(1, rounds + 1):
-        guesses = [_renewed(r, g, x, parallel) for r, g in zip(sizing.requirements, guesses, strict=True)]
+        guesses = _renewed(sizing, x, guesses, responses, parallel)
         found = outer(sizing, guesses, x, hyperplane(sizing, x))
         if found.x is None:
             back = _least_violation(sizing, x, guesses, rounds)
@@ -86,17 +87,20 @@ def least_sizing(sizing: Sizing, around: Array, tolerance: float = 1e-9, rounds:
         assert found.x is not None
         x = found.x
         cost = sizing.value(x)
+        responses = [_response(r, x) for r in sizing.requirements]
+        close = tolerance * abs(cost)
         if sizing.turning is None:
             new = prove(sizing, found.vectors)
             value, _ = new.value(sizing)
             if value > best:
                 best, proof = value, new
-        close = tolerance * abs(cost)
-        if sizing.turning is None:
+            met = min((margin for margin, _ in responses), default=inf) >= -max(_MET, 10 * tolerance)
+            if met and cost >= best - close:
+                break
             parallel = _NEARLY if best - cost > short / 2 else parallel
             short = best - cost
         still = still + 1 if abs(cost - last) <= close else 0
-        if still >= _STILL or (sizing.turning is None and cost >= best - close):
+        if still >= _STILL:
             break
         last = cost
     return Least(_inside(sizing, found, guesses), x, proof, found.vectors, count)
@@ -154,30 +158,44 @@ def modal_vectors(sizing: Sizing, x: Array) -> tuple[Array, ...]:
     return tuple(found)
 
 
-def _renewed(requirement: Requirement, old: Array, x: Array, parallel: float = _PARALLEL) -> Array:
-    """(n, k) Guesses: the motions of the structure at `x`, and the old ones that differ from them."""
+def _response(requirement: Requirement, x: Array) -> tuple[float, Array]:
+    """How far inside a structure is, see `Requirement.margin`, and (n, k) its motions as guesses."""
     if requirement.inertial is None:
-        return old
+        return requirement.margin(x), np.zeros((requirement.size, 0))
     squares, shapes = motions(requirement, x)
     if requirement.load is None:
-        new = shapes[:, (squares <= 1 + _NEAR) | (np.arange(squares.size) == 0)]
-    elif squares[0] > 1:
-        new = linalg.solve(requirement.matrix(x), requirement.load, assume_a="sym")[:, None]
-    else:
-        # Beyond resonance: a motion so large that the load does not count, and one that just uses up the limit.
-        large = shapes[:, :1] * np.sqrt(1e6 * requirement.limit) / requirement.rate
-        below = replace(requirement, rate=requirement.rate * np.sqrt(0.9 * max(squares[0], 0.0)))
-        u = linalg.solve(below.matrix(x), requirement.load, assume_a="sym")
-        new = np.column_stack([large, u * (requirement.limit / (requirement.load @ u))])
-    if not old.shape[1]:
-        return new
-    mass = requirement.inertial.matrix(x)
-    sizes = np.einsum("nk,nk->k", new, mass @ new), np.einsum("nk,nk->k", old, mass @ old)
-    cosine = (new.T @ mass @ old) ** 2 / np.outer(*sizes)
-    if requirement.load is not None:
-        # Under a load the size of a motion counts as well.
-        cosine = cosine * np.minimum.outer(*sizes) / np.maximum.outer(*sizes)
-    return np.hstack([new, old[:, cosine.max(axis=0) < parallel]])[:, :_MOST_GUESSES]
+        return float(squares[0] - 1), shapes[:, (squares <= 1 + _NEAR) | (np.arange(squares.size) == 0)]
+    if squares[0] > 1:
+        u = linalg.solve(requirement.matrix(x), requirement.load, assume_a="sym")
+        return float(1 - requirement.load @ u / requirement.limit), u[:, None]
+    # Beyond resonance: a motion so large that the load does not count, and one that just uses up the limit.
+    large = shapes[:, :1] * np.sqrt(1e6 * requirement.limit) / requirement.rate
+    below = replace(requirement, rate=requirement.rate * np.sqrt(0.9 * max(squares[0], 0.0)))
+    u = linalg.solve(below.matrix(x), requirement.load, assume_a="sym")
+    return -inf, np.column_stack([large, u * (requirement.limit / (requirement.load @ u))])
+
+
+def _renewed(
+    sizing: Sizing,
+    x: Array,
+    guesses: Sequence[Array],
+    responses: Sequence[tuple[float, Array]],
+    parallel: float = _PARALLEL,
+) -> list[Array]:
+    """Per requirement (n, k) the motions of the structure at `x`, and the old guesses that differ from them."""
+    found = []
+    for requirement, old, (_, new) in zip(sizing.requirements, guesses, responses, strict=True):
+        if requirement.inertial is None or not old.shape[1]:
+            found.append(new)
+            continue
+        mass = requirement.inertial.matrix(x)
+        sizes = np.einsum("nk,nk->k", new, mass @ new), np.einsum("nk,nk->k", old, mass @ old)
+        cosine = (new.T @ mass @ old) ** 2 / np.outer(*sizes)
+        if requirement.load is not None:
+            # Under a load the size of a motion counts as well.
+            cosine = cosine * np.minimum.outer(*sizes) / np.maximum.outer(*sizes)
+        found.append(np.hstack([new, old[:, cosine.max(axis=0) < parallel]])[:, :_MOST_GUESSES])
+    return found
 
 
 def _inside(sizing: Sizing, found: Outer, guesses: Sequence[Array]) -> Array | None:
@@ -212,7 +230,7 @@ def _least_violation(sizing: Sizing, x: Array, guesses: Sequence[Array], rounds:
     for _ in range(rounds):
         if best.x is None or best.violation <= _MET or np.isinf(_proven(sizing, best)):
             break
-        guesses = [_renewed(r, g, best.x) for r, g in zip(sizing.requirements, guesses, strict=True)]
+        guesses = _renewed(sizing, best.x, guesses, [_response(r, best.x) for r in sizing.requirements])
         found = outer(sizing, guesses, best.x, hyperplane(sizing, best.x), give_way=True)
         if found.x is None:
             break

@@ -40,6 +40,7 @@ from fosopt.relax.quadrature import Nodes, resolving_nodes
 
 _POLISHED = 1e-12
 _POLISHING = 8
+_LOWEST = 1e-3
 
 
 @dataclass(frozen=True)
@@ -227,7 +228,12 @@ def open_loop(model: LoopModel, disturbances: Sequence[Disturbance]) -> OpenLoop
         for d in disturbances
         if "torque" in d.at and d.filter is not None and d.counted[0] == 0 and d.filter.zeros_at_origin == 1
     ]
-    return OpenLoop(off, tuple(disturbances), poles, free and bool(drifts), _right_zeros(off))
+    if free and drifts and loop.placement.action is not None:
+        raise ModelError(
+            f"disturbance '{drifts[0].name}' drives a free rigid body at zero frequency, where a torque between two "
+            "places of the structure does nothing but for rounding; hold the hub, or state a lower band edge"
+        )
+    return OpenLoop(off, tuple(disturbances), poles, free and bool(drifts), _right_zeros(off, poles))
 
 
 def _refuse_moved_body(model: LoopModel, poles: ClosedLoopPoles) -> None:
@@ -242,7 +248,7 @@ def _refuse_moved_body(model: LoopModel, poles: ClosedLoopPoles) -> None:
         )
 
 
-def _right_zeros(model: LoopModel) -> ComplexArray:
+def _right_zeros(model: LoopModel, poles: ClosedLoopPoles) -> ComplexArray:
     """Zeros of the plant from torque to line of sight in the right half plane, upper ones of pairs.
 
     A zero that is missed makes a bound lower, never wrong; those found are polished, because a wrong one would.
@@ -262,8 +268,13 @@ def _right_zeros(model: LoopModel) -> ComplexArray:
     for _ in range(_POLISHING):
         gain = mirror_gain(loop, *model.along(model.points(zeros)))
         step = gain.value / gain.slope
-        zeros = np.where(zeros.imag == 0, (zeros - step).real, zeros - step)
         settled = np.abs(step) <= _POLISHED * np.abs(zeros)
+        # What runs away from where it was found is no zero but one at infinity.
+        near = np.abs(step) <= 0.5 * np.abs(zeros)
+        zeros = np.where(zeros.imag == 0, (zeros - step).real, zeros - step)[near]
+        settled = settled[near]
+    # Far below all poles lies what rounding makes of a rigid body that the torque should not move.
+    settled &= np.abs(zeros) > _LOWEST * np.abs(poles.value).min()
     zeros = zeros[settled & (zeros.real > 0) & (zeros.imag >= 0)]
     apart = np.abs(zeros[:, None] - zeros) <= 1e-8 * np.abs(zeros)
     return zeros[~np.any(np.tril(apart, -1), axis=1)]

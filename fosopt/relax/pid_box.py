@@ -17,6 +17,7 @@ Range = tuple[float, float]
 GAINS = ("gain", "kp", "ki", "kd")
 # Where a range that starts at zero is cut, as a share of its end.
 _FIRST_CUT = 0.1
+_ROUNDED = 1e-9
 # Crossovers looked at for the range of gains they need, and by how much it is widened for those between.
 _CROSSOVERS, _WIDER = 2000, 1.01
 
@@ -94,9 +95,12 @@ class PidBox:
         return PID(gain, kp, ki, kd, self.rolloff_time)
 
     def contains(self, pid: PID) -> bool:
-        """Whether a controller lies in the box as it stands, its gains not rescaled."""
-        inside = all(getattr(self, n)[0] <= getattr(pid, n) <= getattr(self, n)[1] for n in GAINS)
-        return inside and pid.rolloff_time == self.rolloff_time
+        """Whether a controller lies in the box, but for rounding, as it stands: its gains are not rescaled."""
+        gains, whole = np.array([getattr(pid, name) for name in GAINS]), self.whole
+        inside = (gains >= whole.low[0] * (1 - _ROUNDED)) & (gains <= whole.high[0] * (1 + _ROUNDED))
+        return bool(inside.all()) and bool(
+            np.isclose(pid.rolloff_time, self.rolloff_time, rtol=_ROUNDED, atol=0)
+        )
 
 
 def box_of_crossovers(

@@ -13,6 +13,7 @@ import numpy as np
 
 from fosopt.control import PID, characteristic, closed_loop_poles
 from fosopt.control.loop import sensor_gain
+from fosopt.errors import SolverError
 from fosopt.metrics.functional import LoopModel
 from fosopt.ops import Array, ComplexArray, Dual
 
@@ -47,7 +48,10 @@ def judge(model: LoopModel, low: Array, high: Array, rolloff_time: float) -> Ver
     kp, ki, kd = (float(gain) for gain in middle)
     loop = replace(model.loop, controller=PID(1.0, kp, ki, kd, rolloff_time))
     here = LoopModel(loop, model.modes, model.mirror_port)
-    poles = closed_loop_poles(loop, model.modes, model.mirror_port)
+    try:
+        poles = closed_loop_poles(loop, model.modes, model.mirror_port)
+    except SolverError:
+        return Verdict(False, False)
     value = poles.value
     unstable = np.flatnonzero(value.real > 0)
     if not unstable.size:
@@ -94,7 +98,9 @@ def _encircles(value: ComplexArray, change: Array) -> bool:
     following = np.roll(value, -1)
     chord = following - value
     bend = np.abs(np.roll(value, 1) - 2 * value + following)
-    foot = np.clip(-(chord.conj() * value).real / np.abs(chord) ** 2, 0.0, 1.0)
+    # Points that coincide leave no direction, and no answer.
+    with np.errstate(divide="ignore", invalid="ignore"):
+        foot = np.clip(-(chord.conj() * value).real / np.abs(chord) ** 2, 0.0, 1.0)
     distance = np.abs(value + foot * chord)
     needed = np.maximum(change, np.roll(change, -1)) + _SAFETY / 8 * np.maximum(bend, np.roll(bend, -1))
     return bool(np.all(distance > needed) and np.angle(following / value).sum() > np.pi)
