@@ -112,46 +112,55 @@ def response_function(response: str, layout: Layout = _MIRROR_ALONE) -> ca.Funct
 
 
 @lru_cache(maxsize=64)
-def _partials(response: str, layout: Layout, count: int) -> ca.Function:
-    f = response_function(response, layout)
-    p, z = ca.SX.sym("p", f.size1_in(0)), ca.SX.sym("z", f.size1_in(1))
-    value = f(p, z)
-    # The response is analytic in g, so its derivative is that along the real axis.
-    by_g = ca.jacobian(value, z)[:, list(range(2, z.numel(), 2))]
-    everything = ca.densify(ca.horzcat(by_g, ca.jacobian(value, p)))
-    single = ca.Function(f"{response}_partials", [p, z], [everything])
-    return single.map(f"{response}_partials_{count}", "serial", count, [0], [])
+def _differential(responses: tuple[str, ...], layout: Layout, count: int) -> ca.Function:
+    first = response_function(responses[0], layout)
+    p, z = ca.SX.sym("p", first.size1_in(0)), ca.SX.sym("z", first.size1_in(1))
+    w = ca.SX.sym("w", 2 * len(responses))
+    values = [response_function(name, layout)(p, z) for name in responses]
+    total = sum(w[2 * k] * v[0] - w[2 * k + 1] * v[1] for k, v in enumerate(values))
+    gradient = ca.cse(ca.densify(ca.gradient(total, ca.vertcat(z[2:], p))))
+    single = ca.Function("differential", [p, z, w], [gradient])
+    return single.map(f"differential_{count}", "serial", count, [0], [])
 
 
 @dataclass(frozen=True)
-class ResponsePartials:
-    """Partial derivatives of a transfer function at (m,) points.
+class LoopDifferential:
+    """The differential of Re Σ_ri w_ri R_r(s_i) over transfer functions R_r of a loop and (m,) points.
 
     Attributes
     ----------
     receptances
-        (q, m) for those of the structure alone, in the order of `control.Loop.pairs`.
+        (q, m) complex c, for Re Σ_i c_i dg(s_i), for those of the structure alone, in the order of
+        `control.Loop.pairs`.
     parameters
-        (8, m) for the `LOOP_PARAMETERS`.
+        (8,) derivatives for the `LOOP_PARAMETERS`.
     """
 
     receptances: ComplexArray
-    parameters: ComplexArray
+    parameters: Array
 
 
-def response_partials(response: str, loop: Loop, s: ComplexArray, bare: Receptances) -> ResponsePartials:
-    """Partial derivatives of a transfer function of the loop at (m,) points, exact.
+def loop_differential(
+    weights: Mapping[str, ComplexArray], loop: Loop, s: ComplexArray, bare: Receptances
+) -> LoopDifferential:
+    """How Re Σ_ri w_ri R_r(s_i) follows the structure and the parameters of the loop, exact.
 
     Parameters
     ----------
+    weights
+        (m,) w of each transfer function, by the names `response_function` takes.
     bare
-        Receptances of the structure alone.
+        Receptances of the structure alone, (m,) each.
     """
+    count, q = s.size, len(bare.values)
     point = np.stack([s, *bare.values], axis=1).astype(complex, copy=False).view(float)
-    (flat,) = _call(_partials(response, layout_of(loop), s.size), loop_parameters(loop), point)
-    both = flat.view(complex).reshape(s.size, -1).T
-    count = len(bare.values)
-    return ResponsePartials(both[:count], both[count:])
+    weight = np.stack(list(weights.values()), axis=1).astype(complex, copy=False).view(float)
+    function = _differential(tuple(weights), layout_of(loop), count)
+    (flat,) = _call(function, loop_parameters(loop), point, weight)
+    rows = flat.reshape(count, -1)
+    # Analytic in g, so the derivatives for the two parts of g are those of one complex number.
+    by_g = rows[:, 0 : 2 * q : 2] - 1j * rows[:, 1 : 2 * q : 2]
+    return LoopDifferential(by_g.T, rows[:, 2 * q :].sum(axis=0))
 
 
 def _call(function: ca.Function, *arguments: Array) -> list[Array]:

@@ -32,10 +32,10 @@ from fosopt.problem import (
 from fosopt.symbolic import (
     LOOP_PARAMETERS,
     Differentiable,
+    loop_differential,
     loop_of,
     loop_parameters,
     response_function,
-    response_partials,
 )
 
 # Relative steps of the central differences: resonances are 1e-3 wide, so truncation needs steps far below that.
@@ -74,8 +74,9 @@ def test_numbers_and_symbols_give_the_same_transfer_functions(name):
 
 
 @pytest.mark.parametrize("name", RESPONSES)
-def test_partial_derivatives_of_transfer_functions_are_those_of_central_differences(name):
-    partials = response_partials(name, LOOP, S, G)
+def test_differentials_of_transfer_functions_are_those_of_central_differences(name):
+    one, i = np.ones(S.size), -1j * np.ones(S.size)
+    real, imaginary = (loop_differential({name: w}, LOOP, S, G) for w in (one, i))
     f = formula(name)
 
     def difference(along):
@@ -87,19 +88,43 @@ def test_partial_derivatives_of_transfer_functions_are_those_of_central_differen
         m = S.size
         return expected[:m] + 1j * expected[m:], error[:m] + error[m:]
 
-    for part, derivative in zip(("direct", "cross"), partials.receptances, strict=True):
+    for k, part in enumerate(("direct", "cross")):
         size = np.abs(getattr(G, part))
         expected, error = difference(
             lambda t, part=part, size=size: f(LOOP, S, replace(G, **{part: getattr(G, part) + t * size}))
         )
-        found = derivative * size
+        found = real.receptances[k] * size
         assert np.all(np.abs(found - expected) <= 1e-8 * np.abs(f(LOOP, S, G)) + 3 * error)
+        assert np.allclose(imaginary.receptances[k], -1j * real.receptances[k], rtol=1e-12, atol=0)
     p = loop_parameters(LOOP)
     for i in range(len(LOOP_PARAMETERS)):
         unit = np.eye(p.size)[i] * p[i]
         expected, error = difference(lambda t, unit=unit: f(loop_of(p + t * unit), S, G))
-        found = partials.parameters[i] * p[i]
-        assert np.all(np.abs(found - expected) <= 1e-8 * np.abs(f(LOOP, S, G)) + 3 * error)
+        found = (real.parameters[i] + 1j * imaginary.parameters[i]) * p[i]
+        bound = 1e-8 * np.abs(f(LOOP, S, G)).sum() + 3 * error.sum()
+        assert abs(found - expected.sum()) <= bound
+
+
+def test_the_differential_of_a_sum_is_the_sum_of_differentials():
+    rng = np.random.default_rng(5)
+    weights = {name: rng.normal(size=S.size) + 1j * rng.normal(size=S.size) for name in RESPONSES}
+    together = loop_differential(weights, LOOP, S, G)
+    parts = [loop_differential({name: w}, LOOP, S, G) for name, w in weights.items()]
+    for what in ("receptances", "parameters"):
+        each = [getattr(part, what) for part in parts]
+        scale = sum(np.abs(x) for x in each)
+        assert np.all(np.abs(getattr(together, what) - sum(each)) <= 1e-13 * scale)
+
+
+def test_weights_count_at_the_point_they_belong_to():
+    rng = np.random.default_rng(6)
+    weight = rng.normal(size=S.size) + 1j * rng.normal(size=S.size)
+    name = RESPONSES[0]
+    together = loop_differential({name: weight}, LOOP, S, G)
+    for k in range(S.size):
+        at = Receptances(G.direct[k : k + 1], G.cross[k : k + 1])
+        alone = loop_differential({name: weight[k : k + 1]}, LOOP, S[k : k + 1], at)
+        assert np.allclose(together.receptances[:, k], alone.receptances[:, 0], rtol=1e-12, atol=0)
 
 
 def test_an_unknown_transfer_function_is_refused_with_the_nearest_name():

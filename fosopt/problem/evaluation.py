@@ -21,7 +21,7 @@ from fosopt.ops import Array, ComplexArray
 from fosopt.plant import CoupledModes, coupled_modes, modes_of_matrices
 from fosopt.problem.system import INDEXED, Design, System
 from fosopt.structure import structural_mass, structure_inertia
-from fosopt.symbolic import LOOP_PARAMETERS, response_partials
+from fosopt.symbolic import LOOP_PARAMETERS, loop_differential
 
 # Metrics that are the least or the largest of several branches, and how many of these enter a constraint one by one.
 BRANCHES = {"first_elastic_frequency": 4, "modulus_margin": 6, "spectral_abscissa": 6}
@@ -410,17 +410,17 @@ class Evaluation:
 
     def _loop_gradient(self, functionals: Sequence[Functional]) -> Array:
         """Gradient of Σ Re Σ w dR(s): through the receptances to the structure, and directly to the loop."""
-        by_loop = np.zeros(len(LOOP_PARAMETERS))
-        # Functionals on the same points share the costly part, their way through the receptances.
-        shared: dict[int, tuple[Points, ComplexArray]] = {}
-        loop = self.design.loop
+        loop, by_loop = self.design.loop, np.zeros(len(LOOP_PARAMETERS))
+        shared: dict[int, tuple[Points, dict[str, ComplexArray]]] = {}
         for f in functionals:
-            partials = response_partials(f.response, loop, f.points.s, f.points.bare)
-            weighted = f.weight * partials.receptances
-            before = shared.get(id(f.points))
-            shared[id(f.points)] = (f.points, weighted if before is None else before[1] + weighted)
-            by_loop += np.real(partials.parameters @ f.weight)
-        points, by_pair = zip(*shared.values(), strict=True)
+            _, weights = shared.setdefault(id(f.points), (f.points, {}))
+            weights[f.response] = weights[f.response] + f.weight if f.response in weights else f.weight
+        by_pair = []
+        for at, weights in shared.values():
+            differential = loop_differential(weights, loop, at.s, at.bare)
+            by_loop += differential.parameters
+            by_pair.append(differential.receptances)
+        points = [at for at, _ in shared.values()]
         ports = loop.ports(self.system.mirror_port)
         names = [(ports[a], ports[b]) for a, b in loop.pairs]
         stiffness, mass = receptance_functional(
