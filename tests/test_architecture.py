@@ -69,6 +69,7 @@ LIBRARIES = {
     "numba": {"plant"},
     "numpy": ANYWHERE,
     "plotly": {"report"},
+    "pyarrow": {"export"},
     "pydantic": {"study"},
     "pydantic_core": {"study"},
     "rich": {"cli"},

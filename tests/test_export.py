@@ -8,14 +8,16 @@ import os
 from pathlib import Path
 
 import numpy as np
+import pyarrow
 import pytest
 from fake_run import HERTZ, fake_run, point, quantity
-from scipy.io import loadmat
+from pyarrow import parquet
+from scipy.io import loadmat, netcdf_file
 
 from fosopt.errors import FosoptError
-from fosopt.export import write_csv, write_json, write_mat
+from fosopt.export import write_csv, write_json, write_mat, write_netcdf, write_parquet
 
-WRITERS = [write_csv, write_json, write_mat]
+WRITERS = [write_csv, write_json, write_mat, write_netcdf, write_parquet]
 
 
 def rows_of(run, tmp_path: Path) -> list[dict[str, str]]:
@@ -49,8 +51,9 @@ def test_the_table_has_one_row_per_point_with_units_in_its_names(run, tmp_path):
         *("modulus_margin", "slack_first_elastic_frequency", "slack_a_b_2", "slack_a_b_2_2"),
         *("multiplier_first_elastic_frequency", "multiplier_a_b_2", "multiplier_a_b_2_2"),
         *("area_L1_m2", "area_root_bars_m2", "variable_crossover_hz"),
-        *("seconds", "iterations", "kkt_residual"),
+        *("seconds", "iterations", "kkt_residual", "provenance"),
     ]
+    assert {row["provenance"] for row in rows} == {"seed 1"}
     assert [row["key"] for row in rows] == ["start", "000", "001"]
     assert [row["verified"] for row in rows] == ["true", "true", "false"]
     assert rows[0]["strategy"] == rows[0]["reason"] == rows[0]["multiplier_a_b_2"] == ""
@@ -182,3 +185,100 @@ def test_frequencies_are_in_hertz_and_angles_in_radians(run, tmp_path):
     row = rows_of(run, tmp_path)[1]
     assert float(row["crossover_hz"]) * HERTZ == pytest.approx(run["points"][1]["metrics"]["crossover"])
     assert float(row["jitter_total_rad"]) == run["points"][1]["metrics"]["jitter_total"]
+
+
+def table_of(run, tmp_path: Path) -> pyarrow.Table:
+    path = tmp_path / "front.parquet"
+    write_parquet(run, path)
+    return parquet.read_table(path)
+
+
+def axes_of(run, tmp_path: Path):
+    """Variables, units and attributes of the netCDF file, by name, with texts as strings."""
+    path = tmp_path / "front.nc"
+    write_netcdf(run, path)
+    with netcdf_file(path, mmap=False) as file:
+        found = {name: (each.dimensions, each[:].copy()) for name, each in file.variables.items()}
+        units = {name: each.units.decode() for name, each in file.variables.items() if hasattr(each, "units")}
+        attributes = {name: value.decode() for name, value in file._attributes.items()}
+    texts = {
+        name: [b"".join(row).rstrip(b"\0").decode() for row in values]
+        for name, (_, values) in found.items()
+        if values.dtype.kind == "S"
+    }
+    return found, units, attributes, texts
+
+
+def test_parquet_holds_the_columns_of_the_table_in_their_types(run, tmp_path):
+    table, rows = table_of(run, tmp_path), rows_of(run, tmp_path)
+    assert table.column_names == [name for name in rows[0] if name != "provenance"]
+    for name in table.column_names:
+        kind, cells = table.schema.field(name).type, table.column(name).to_pylist()
+        for cell, row in zip(cells, rows, strict=True):
+            if cell is None:
+                assert row[name] == ""
+            elif kind == pyarrow.bool_():
+                assert row[name] == str(cell).lower()
+            elif kind == pyarrow.string():
+                assert row[name] == cell
+            else:
+                assert kind == pyarrow.float64()
+                assert float(row[name]) == cell
+
+
+def test_parquet_columns_carry_their_units_and_the_table_its_origin(run, tmp_path):
+    schema = table_of(run, tmp_path).schema
+    units = {
+        name: (schema.field(name).metadata or {}).get(b"unit")
+        for name in (
+            "key",
+            "jitter_total_rad",
+            "area_L1_m2",
+            "variable_crossover_hz",
+            "slack_a_b_2",
+            "seconds",
+        )
+    }
+    assert units == {
+        "key": None,
+        "jitter_total_rad": b"rad",
+        "area_L1_m2": b"m^2",
+        "variable_crossover_hz": b"Hz",
+        "slack_a_b_2": b"SI",
+        "seconds": b"s",
+    }
+    assert schema.metadata[b"name"] == b"Mass against jitter"
+    assert schema.metadata[b"seed"] == b"1"
+
+
+def test_netcdf_has_a_matrix_for_a_variable_with_groups_and_labels_on_its_axis(run, tmp_path):
+    found, units, attributes, texts = axes_of(run, tmp_path)
+    axes, areas = found["area_m2"]
+    assert axes == ("point", "area_group")
+    assert texts["area_group"] == ["L1", "root bars"]
+    np.testing.assert_array_equal(areas, [each["variables"]["area"] for each in run["points"]])
+    assert (units["area_m2"], units["variable_crossover_hz"], units["seconds"]) == ("m^2", "Hz", "s")
+    assert not any(name.startswith(("area_L1", "area_root")) for name in found)
+    assert (attributes["name"], attributes["seed"]) == ("Mass against jitter", "1")
+
+
+def test_netcdf_holds_the_columns_of_the_table(run, tmp_path):
+    found, _, _, texts = axes_of(run, tmp_path)
+    rows = rows_of(run, tmp_path)
+    shared = [name for name in rows[0] if not name.startswith("area_") and name != "provenance"]
+    assert set(found) == {*shared, "area_m2", "area_group"}
+    for name in shared:
+        values, cells = found[name][1], [row[name] for row in rows]
+        if name in texts:
+            assert texts[name] == cells
+        elif values.dtype == np.int8:
+            assert ["true" if flag else "false" for flag in values] == cells
+        else:
+            np.testing.assert_array_equal(values, [float(cell or "nan") for cell in cells])
+
+
+@pytest.mark.parametrize("write", [write_netcdf, write_parquet])
+def test_text_that_is_no_utf8_and_runs_without_points_can_be_written(write, tmp_path):
+    write(fake_run(), tmp_path / "empty")
+    write(fake_run(point("000", reason="a\udcffb"), name="\ud800"), tmp_path / "odd")
+    assert (tmp_path / "odd").stat().st_size > 500

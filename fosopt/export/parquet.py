@@ -1,0 +1,54 @@
+"""A front as a Parquet table, for data frames."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from fosopt.export.columns import front_columns
+from fosopt.export.writing import ExportError, written_to
+
+
+def write_parquet(run: Mapping[str, Any], path: Path) -> None:
+    """Write the points as a table with `export.columns.front_columns`, one row each.
+
+    Every column carries its unit as field metadata ``unit``; name and provenance of the run are metadata of the
+    table. A missing value is null.
+
+    Parameters
+    ----------
+    run
+        The run data.
+    path
+        The file to write.
+
+    Raises
+    ------
+    ExportError
+        If the file cannot be written, or pyarrow is not installed.
+    """
+    try:
+        import pyarrow as pa
+        from pyarrow import parquet
+    except ImportError:
+        raise ExportError("Parquet needs pyarrow; install it: pip install 'fosopt[parquet]'") from None
+
+    types = {"text": pa.string(), "verdict": pa.bool_(), "number": pa.float64()}
+    columns = front_columns(run)
+    fields = [
+        pa.field(column.name, types[column.kind], metadata={"unit": column.unit} if column.unit else None)
+        for column in columns
+    ]
+    # What no UTF-8 can hold, a lone surrogate of a file's name, is spelled out.
+    about = {key: str(value) for key, value in (("name", run["name"]), *run["provenance"].items())}
+    schema = pa.schema(fields, {key: text.encode("utf-8", "backslashreplace") for key, text in about.items()})
+    arrays = [pa.array([_plain(value) for value in column.values], types[column.kind]) for column in columns]
+    with written_to(path) as temporary:
+        parquet.write_table(pa.Table.from_arrays(arrays, schema=schema), temporary)
+
+
+def _plain(value: object) -> object:
+    if isinstance(value, str):
+        return value.encode("utf-8", "backslashreplace").decode("utf-8")
+    return float(value) if isinstance(value, int) and not isinstance(value, bool) else value
