@@ -9,13 +9,14 @@ READY := .venv/ready
 export OMP_NUM_THREADS := 1
 export OPENBLAS_NUM_THREADS := 1
 
-.PHONY: help test lint demo bench clean
+.PHONY: help test lint demo bench verify clean
 
 help:
 	@echo "make test    lint, then all tests"
 	@echo "make lint    ruff and mypy"
 	@echo "make demo    solve studies/mass-jitter.yaml; results and report go to runs/mass-jitter (the next to -2)"
 	@echo "make bench   run every benchmark"
+	@echo "make verify  compare with Octave and CalculiX, and renew docs/verification.md"
 	@echo "make clean   remove the environment and all caches; runs/ stays"
 
 test: lint
@@ -31,6 +32,9 @@ demo: $(READY)
 
 bench: $(READY)
 	@set -e; for file in $$(grep -l '^if __name__' benchmarks/*.py); do echo "$$file"; $(BIN)/python "$$file"; done
+
+verify: $(READY)
+	$(BIN)/python verify/run.py
 
 clean:
 	rm -rf .venv .mypy_cache .ruff_cache .pytest_cache .hypothesis build dist *.egg-info
