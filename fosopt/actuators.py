@@ -157,10 +157,19 @@ class Suspended:
     stiffness: Any
     damping: Any
 
+    def coupling(self, s: Any) -> Any:
+        """Spring and damper, κ(s) = c s + k [N/m] or [N m/rad]."""
+        return self.damping * s + self.stiffness
+
     def transmission(self, s: Any) -> Any:
-        """Its motion per motion of its mount, κ/(J s² + κ) with κ = c s + k [-]."""
-        kappa = self.damping * s + self.stiffness
+        """Its motion per motion of its mount, κ/(J s² + κ) [-]."""
+        kappa = self.coupling(s)
         return kappa / (self.inertia * s**2 + kappa)
+
+    def slip(self, s: Any) -> Any:
+        """What its transmission lacks to one, J s²/(J s² + κ), without a difference [-]."""
+        inertial = self.inertia * s**2
+        return inertial / (inertial + self.coupling(s))
 
     def dynamic_stiffness(self, s: Any) -> Any:
         """Load on its mount per motion of the mount, J s² κ/(J s² + κ) [N/m] or [N m/rad]."""
@@ -172,8 +181,7 @@ def proof_mass_force(actuator: ReactionMassActuator, s: Any) -> Any:
 
     [Barker1991] Eq. (2.37)
     """
-    body = actuator.suspended
-    return body.inertia * s**2 / (body.inertia * s**2 + body.damping * s + body.stiffness)
+    return actuator.suspended.slip(s)
 
 
 @dataclass(frozen=True)

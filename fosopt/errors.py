@@ -53,6 +53,10 @@ class SolverError(FosoptError):
     """A numerical method that could not deliver what it was asked for."""
 
 
+class StoppedError(FosoptError):
+    """A run that the machine stopped before its end; what is finished is in its record, and it can be resumed."""
+
+
 def did_you_mean(name: str, known: Iterable[str]) -> str:
     """The end of a sentence that refuses an unknown name: its nearest known neighbor, or all of them."""
     names = sorted(known)

@@ -76,6 +76,8 @@ DIMENSIONS: dict[str, Dimension] = {
     "angle_density": Dimension("rad/sqrt(Hz)", "urad/sqrt(Hz)", "rad_per_rthz", "1 urad/sqrt(Hz)"),
     "torque_psd": Dimension("(N m)^2/Hz", "(N m)^2/Hz", "n2_m2_per_hz", "1e-6 (N m)^2/Hz"),
     "angle_psd": Dimension("rad^2/Hz", "urad^2/Hz", "rad2_per_hz", "1e-12 rad^2/Hz"),
+    "angular_rate": Dimension("rad/s", "rad/s", "rad_per_s", "0.2 rad/s"),
+    "integral_gain": Dimension("N m/(rad s)", "N m/(rad s)", "n_m_per_rad_s", "2e8 N m/(rad s)"),
 }
 
 
@@ -119,6 +121,10 @@ def _with_prefixes() -> dict[str, tuple[Decimal, Vector]]:
     units = {
         "%": (Decimal("1e-2"), DIMENSIONLESS),
         "cm": (Decimal("1e-2"), _vector(m=1)),
+        "in": (Decimal("0.0254"), _vector(m=1)),
+        "ft": (Decimal("0.3048"), _vector(m=1)),
+        "lb": (Decimal("0.45359237"), _vector(kg=1)),
+        "lbf": (Decimal("4.4482216152605"), force),
         "t": (Decimal(1000), _vector(kg=1)),
         "min": (Decimal(60), _vector(s=1)),
         "deg": (_PI / 180, _vector(rad=1)),

@@ -12,7 +12,7 @@ from small_problems import expressions, variable
 from fosopt.certify import certify
 from fosopt.errors import ModelError
 from fosopt.modes import Hub, modal_frame
-from fosopt.problem import Design, Evaluation, Problem, System, evaluation
+from fosopt.problem import Design, Evaluation, Problem, System, system
 from fosopt.structure import (
     Bar,
     Batten,
@@ -132,8 +132,8 @@ def test_the_judge_knows_the_springs_of_the_design(monkeypatch: pytest.MonkeyPat
     problem = table_problem("B0.y")
     x = 2 * problem.start
     assert certify(problem, x, ()).verified
-    right = evaluation.modal_frame
-    monkeypatch.setattr(evaluation, "modal_frame", lambda *given: right(*given[:5]))
+    right = system.modal_frame
+    monkeypatch.setattr(system, "modal_frame", lambda *given: right(*given[:5]))
     wrong = certify(problem, x, ())
     assert not wrong.verified
     assert any(reason.startswith("modes: residual") for reason in wrong.reasons)

@@ -9,6 +9,7 @@ from fosopt.modes.change import ImpedanceChange, impedance_change, receptance_fu
 from fosopt.modes.frame import ModalFrame, modal_frame
 from fosopt.modes.mac import match_modes, modal_assurance
 from fosopt.modes.modal_set import Damping, Hub, ModalSet
+from fosopt.modes.truncated import modes_below, truncated_frame
 from fosopt.modes.truncation import reduced_matrices
 
 __all__ = [
@@ -21,6 +22,8 @@ __all__ = [
     "match_modes",
     "modal_assurance",
     "modal_frame",
+    "modes_below",
     "receptance_functional",
     "reduced_matrices",
+    "truncated_frame",
 ]

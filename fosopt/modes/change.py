@@ -35,16 +35,16 @@ class ImpedanceChange:
 
 
 def impedance_change(eigenvalue: Array, modes: ModalSet, damping: Damping) -> ImpedanceChange:
-    """Change of damping and hub stiffness with dK and dM for modes of the given elastic eigenvalues."""
-    elastic = np.flatnonzero(~modes.rigid)
+    """Change of damping and hub stiffness with dK and dM for modes of the given eigenvalues, rigid ones first."""
+    n_rigid = int(np.count_nonzero(modes.rigid))
+    elastic = slice(n_rigid, None)
     by_stiffness, by_mass, hub = (np.zeros((eigenvalue.size, eigenvalue.size)) for _ in range(3))
     w, z = np.sqrt(eigenvalue[elastic]), modes.damping_ratio[elastic]
-    mean = 0.5 * (z[:, None] + z) / (w[:, None] + w)
+    mean = (z[:, None] + z) / (w[:, None] + w)
     slope = damping.slopes(w, z)
-    block = np.ix_(elastic, elastic)
-    by_stiffness[block] = 2 * mean + slope
-    by_mass[block] = 2 * (w[:, None] * w) * (mean - slope / 2)
-    for r in np.flatnonzero(modes.rigid):
+    by_stiffness[elastic, elastic] = mean + slope
+    by_mass[elastic, elastic] = (w[:, None] * w) * (mean - slope)
+    for r in range(n_rigid):
         by_mass[r, :] = by_mass[:, r] = modes.damping[r]
         hub[r, :] = hub[:, r] = modes.stiffness[r]
     return ImpedanceChange(by_stiffness, by_mass, hub)
@@ -82,30 +82,51 @@ def receptance_functional(
     inside = modes if kept.size == modes.rigid.size else modes.keep(kept)
     # Pairs that share their first port share one product.
     rights: dict[str, ComplexArray] = {}
+    shares: dict[tuple[str, str], Array] = {}
     for (p, q), coefficient in coefficients.items():
-        right = coefficient[:, None] * (modal * inside.at(q))
+        right = coefficient[:, None] * inside.at(q)
         rights[p] = rights[p] + right if p in rights else right
+        shares[p, q] = np.real(coefficient @ modal)
     size = kept.size
-    powers = [np.zeros((size, size)) for _ in range(3)]
+    by_stiffness, by_damping = np.zeros((size, size)), np.zeros((size, size))
+    left = np.concatenate([modal.real, -modal.imag]).T
     for p, right in rights.items():
-        left = modal * inside.at(p)
-        for k in range(3):
-            powers[k] += _real_product(left, right)
-            right = right * s[:, None]
+        right *= modal
+        by_stiffness += inside.at(p)[:, None] * (left @ np.concatenate([right.real, right.imag]))
+        right *= s[:, None]
+        by_damping += inside.at(p)[:, None] * (left @ np.concatenate([right.real, right.imag]))
+    # That for the mass has s² ψ = φ − (2ζωs + ω²) ψ on the lower mode of each two, where no digits are lost.
+    lower = inside.stiffness[:, None] <= inside.stiffness
+    first = (
+        np.array([inside.at(p) for p, _ in shares]),
+        np.array([x * inside.at(q) for (_, q), x in shares.items()]),
+    )
+    second = (
+        np.array([x * inside.at(p) for (p, _), x in shares.items()]),
+        np.array([inside.at(q) for _, q in shares]),
+    )
+    inertial = np.where(lower, first[0].T @ first[1], second[0].T @ second[1])
     lam = frame.eigenvalue[kept]
-    change = impedance_change(frame.eigenvalue[kept], inside, damping)
-    in_stiffness = -(powers[0] + change.damping_by_stiffness * powers[1])
-    in_mass = -(powers[2] + change.damping_by_mass * powers[1] + change.hub_by_mass * powers[0])
+    change = impedance_change(lam, inside, damping)
+    in_stiffness = -(by_stiffness + change.damping_by_stiffness * by_damping)
+    damping_left = np.where(lower, inside.damping[:, None], inside.damping) - change.damping_by_mass
+    stiffness_left = np.where(lower, inside.stiffness[:, None], inside.stiffness) - change.hub_by_mass
+    in_mass = damping_left * by_damping + stiffness_left * by_stiffness - inertial
+    if frame.outside is not None:
+        motion = {p: np.zeros(size) for p in frame.outside.ports}
+        for (p, q), share in shares.items():
+            motion[p] += share * inside.at(q)
+            motion[q] += share * inside.at(p)
+        return frame.contract(in_stiffness, in_mass, motion)
     if kept.size == frame.eigenvalue.size:
         return frame.contract(in_stiffness, in_mass)
 
     # The kept shapes also turn toward the modes left out: dφ_k = Σ_j φ_j (dK_jk − λ_k dM_jk)/(λ_k − λ_j).
     out = np.setdiff1d(np.arange(frame.eigenvalue.size), kept)
     turn = np.zeros((kept.size, out.size))
-    for (p, q), coefficient in coefficients.items():
-        share = np.real(coefficient @ modal)[:, None]
+    for (p, q), share in shares.items():
         for one, other in ((p, q), (q, p)):
-            turn += share * inside.at(one)[:, None] * modes.at(other)[out]
+            turn += np.outer(share * inside.at(one), modes.at(other)[out])
     turn /= lam[:, None] - frame.eigenvalue[out]
     n = frame.eigenvalue.size
     full_stiffness, full_mass = np.zeros((n, n)), np.zeros((n, n))
@@ -113,10 +134,3 @@ def receptance_functional(
     full_stiffness[np.ix_(kept, out)] = turn
     full_mass[np.ix_(kept, out)] = -lam[:, None] * turn
     return frame.contract(full_stiffness, full_mass)
-
-
-def _real_product(left: ComplexArray, right: ComplexArray) -> Array:
-    """Re(leftᵀ right) as one real product."""
-    a = np.concatenate([left.real, -left.imag])
-    b = np.concatenate([right.real, right.imag])
-    return a.T @ b

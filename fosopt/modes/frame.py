@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
 from scipy import linalg
+from scipy.linalg import blas
 
 from fosopt.errors import ModelError
 from fosopt.modes.modal_set import Damping, Hub, ModalSet
+from fosopt.modes.outside import Outside
 from fosopt.ops import Array
 from fosopt.structure import Structure, mass_matrix, stiffness_matrix
 
@@ -36,6 +38,8 @@ class ModalFrame:
         (n_dof, n) mass-normalized mode shapes.
     stiffness_shapes, mass_shapes
         (k, n) and (m, n), the same seen by the rows of stiffness and mass.
+    outside
+        Of a truncated basis, whose last shapes are those of residual flexibility: what it leaves out.
     """
 
     structure: Structure
@@ -43,6 +47,12 @@ class ModalFrame:
     shapes: Array
     stiffness_shapes: Array
     mass_shapes: Array
+    outside: Outside | None = None
+
+    @property
+    def n_exact(self) -> int:
+        """Number of modes, without the shapes of residual flexibility."""
+        return self.eigenvalue.size - (0 if self.outside is None else self.outside.residual.shape[1])
 
     @property
     def n_rigid(self) -> int:
@@ -75,28 +85,68 @@ class ModalFrame:
         rows = np.array([self.structure.port(name) for name in ports])
         return ModalSet(frequency, ratio, (rows @ self.shapes).T, tuple(ports), rigid)
 
-    def eigenvalue_gradient(self, mode: int) -> tuple[Array, Array]:
-        """Derivative of ω_k² for the stiffness (k,) and mass (m,) weights.    [Fox1968]
+    def eigenvalue_gradient(self, mode: int | slice) -> tuple[Array, Array]:
+        """Derivative of ω_k² for the stiffness (k,) and mass (m,) weights, a column per mode of a slice.    [Fox1968]
 
         Assumes the eigenvalue is simple; at a crossing it is that of the mode the solver returned.
         """
         return self.stiffness_shapes[:, mode] ** 2, -self.eigenvalue[mode] * self.mass_shapes[:, mode] ** 2
 
-    def contract(self, stiffness: Array, mass: Array) -> tuple[Array, Array]:
-        """Gradient for the row weights of a functional d = ⟨stiffness, dK⟩ + ⟨mass, dM⟩ in the modal frame.
+    def contract(
+        self, stiffness: Array, mass: Array, motion: Mapping[str, Array] | None = None
+    ) -> tuple[Array, Array]:
+        """Gradient for the row weights of d = ⟨stiffness, dK⟩ + ⟨mass, dM⟩ + Σ_p ⟨u_p, dφ_p⟩ in the modal frame.
+
+        All modes span whatever they may become, so that their frame stays as it is and u does not matter; a truncated
+        basis follows the structure, see `Outside`.
 
         Parameters
         ----------
         stiffness, mass
             (n, n) coefficients.
+        motion
+            (n,) u of each port.
 
         Returns
         -------
         (k,), (m,)
             Derivatives for the stiffness and mass weights.
         """
-        b, d = self.stiffness_shapes, self.mass_shapes
-        return np.einsum("ek,ek->e", b @ stiffness, b), np.einsum("ek,ek->e", d @ mass, d)
+        by_shapes = _by_half(self.shapes, stiffness), _by_half(self.shapes, mass)
+        if self.outside is None:
+            return self._summed(*by_shapes)
+        rigid = self.shapes[:, 0] if self.n_rigid else np.zeros(self.shapes.shape[0])
+        turning = self.outside.turning(self.eigenvalue, (stiffness, mass), motion or {})
+        # Loads on a free structure are balanced by its rigid-body inertia, which the mass carries.
+        balance = turning.static @ (self.outside.loads.T @ rigid)
+        by_shapes[0][:, : self.n_exact] -= turning.modes
+        by_shapes[1][:, : self.n_exact] += turning.modes * self.eigenvalue[: self.n_exact]
+        by_shapes[1][:, 0] -= balance
+        by_stiffness, by_mass = self._summed(*by_shapes)
+        rows = self.structure.stiffness_rows
+        return by_stiffness - _row_sums(rows @ turning.static, rows @ self.outside.static_shapes), by_mass
+
+    def _summed(self, stiffness: Array, mass: Array) -> tuple[Array, Array]:
+        """Products with the basis, both seen by the rows, of (n_dof, n) `stiffness` and `mass`."""
+        of = self.structure
+        return (
+            _row_sums(of.stiffness_rows @ stiffness, self.stiffness_shapes),
+            _row_sums(of.mass_rows @ mass, self.mass_shapes),
+        )
+
+
+def _by_half(shapes: Array, coefficients: Array) -> Array:
+    """(n_dof, n) V for which Σ_k V_ak φ_bk, over pairs a, b alike, is that of φ times the coefficients.
+
+    A quadratic form needs one triangle of them, which saves half of the product.
+    """
+    triangle = np.asfortranarray(coefficients + coefficients.T)
+    triangle[np.diag_indices_from(triangle)] /= 2
+    return np.asarray(blas.dtrmm(1.0, triangle, shapes, side=1, lower=1))
+
+
+def _row_sums(left: Array, right: Array) -> Array:
+    return np.einsum("ek,ek->e", left, right)
 
 
 def modal_frame(
@@ -126,14 +176,7 @@ def modal_frame(
     k_rows, m_rows = structure.stiffness_rows, structure.mass_rows
     if spring_stiffness is None:
         spring_stiffness = structure.spring_stiffness
-    for what, values in (
-        ("area", area),
-        ("batten_mass", batten_mass),
-        ("spring_stiffness", spring_stiffness),
-        ("mirror_mass", np.atleast_1d(mirror_mass)),
-    ):
-        if not np.all(values >= 0):
-            raise ModelError(f"{what}: {values.min():g} is negative or not a number; give zero or more")
+    refuse_negative(area, batten_mass, spring_stiffness, mirror_mass)
     k = stiffness_matrix(structure, area, spring_stiffness)
     m = mass_matrix(structure, area, batten_mass, mirror_mass)
     try:
@@ -146,7 +189,7 @@ def modal_frame(
     if rigid.any():
         _refuse_mechanism(structure, shapes[:, rigid])
         eigenvalue = np.where(rigid, 0.0, eigenvalue)
-    shapes = _turn_repeated(eigenvalue, shapes, structure.port(rotation))
+    shapes = turn_repeated(eigenvalue, shapes, structure.port(rotation))
     return ModalFrame(structure, eigenvalue, shapes, k_rows @ shapes, m_rows @ shapes)
 
 
@@ -162,7 +205,20 @@ def _refuse_mechanism(structure: Structure, shapes: Array) -> None:
     )
 
 
-def _turn_repeated(eigenvalue: Array, shapes: Array, row: Array) -> Array:
+def refuse_negative(area: Array, batten_mass: Array, spring_stiffness: Array, mirror_mass: float) -> None:
+    """Refuse sizes that are below zero or not a number."""
+    for what, values in (
+        ("area", area),
+        ("batten_mass", batten_mass),
+        ("spring_stiffness", spring_stiffness),
+        ("mirror_mass", np.atleast_1d(mirror_mass)),
+    ):
+        if not np.all(values >= 0):
+            raise ModelError(f"{what}: {values.min():g} is negative or not a number; give zero or more")
+
+
+def turn_repeated(eigenvalue: Array, shapes: Array, row: Array) -> Array:
+    """Shapes of which one alone in each repeated eigenspace has a motion `row`."""
     gaps = np.diff(eigenvalue) > np.maximum(_REPEATED * eigenvalue[1:], _ROUNDING * eigenvalue[-1])
     edges = np.concatenate([[0], np.flatnonzero(gaps) + 1, [eigenvalue.size]])
     if edges.size == eigenvalue.size + 1:

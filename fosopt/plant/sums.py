@@ -1,7 +1,7 @@
 """Sums over modes and poles at very many points, as compiled loops.
 
 Differences are taken as (base − pole) + shift, in this order, so that points close to a pole keep all digits of their
-distance.
+distance. Only the sums over what has been formed from them may be reordered, which is what makes the loops fast.
 """
 
 from __future__ import annotations
@@ -12,49 +12,94 @@ from numpy.typing import NDArray
 
 from fosopt.ops import Array, ComplexArray
 
+_SUMS = {"reassoc", "contract", "arcp"}
+
 
 @numba.njit(error_model="numpy", cache=True)
-def modal_sums(
-    first: ComplexArray, second: ComplexArray, constant: Array, base: ComplexArray, shift: ComplexArray
-) -> tuple[ComplexArray, ComplexArray, ComplexArray]:
-    """Receptances Σ_k a_k/D_k and their slopes, and Σ_k D_k′/D_k, D_k = (s − p_k)(s − p_k′) at s = base + shift.
+def _apart(base: float, pole: float, shift: float) -> float:
+    """(base − pole) + shift in this order, whatever its caller may reorder."""
+    return (base - pole) + shift
 
-    A double pole at zero is no part of the last.
+
+@numba.njit(fastmath=_SUMS, error_model="numpy", cache=True)
+def modal_sums(
+    first: ComplexArray,
+    second: ComplexArray,
+    constant: Array,
+    linear: Array,
+    base: ComplexArray,
+    shift: ComplexArray,
+) -> tuple[ComplexArray, ComplexArray, ComplexArray]:
+    """Receptances Σ_k (a_k + b_k s)/D_k and their slopes, and Σ_k D_k′/D_k, where D_k = (s − p_k)(s − p_k′).
+
+    Points are s = base + shift. A double pole at zero is no part of the last sum.
 
     Parameters
     ----------
     first, second
         (n,) poles of each mode [rad/s].
-    constant
-        (n, q) a, one column per pair of ports.
+    constant, linear
+        (q, n) a and b, one row per pair of ports; no row at all where every b is zero.
 
     Returns
     -------
     (q, m), (q, m), (m,)
         One column per point.
     """
-    n, q = constant.shape
+    q, n = constant.shape
     m = base.size
-    value, slope = np.zeros((q, m), dtype=np.complex128), np.zeros((q, m), dtype=np.complex128)
-    logarithmic = np.zeros(m, dtype=np.complex128)
+    value, slope = np.empty((q, m), dtype=np.complex128), np.empty((q, m), dtype=np.complex128)
+    logarithmic = np.empty(m, dtype=np.complex128)
+    real, imag, other_real, other_imag = (
+        first.real.copy(),
+        first.imag.copy(),
+        second.real.copy(),
+        second.imag.copy(),
+    )
+    moving = (first != 0.0).astype(np.float64)
+    # Of each mode at one point: 1/D and its slope −D′/D².
+    ur, ui, vr, vi = np.empty(n), np.empty(n), np.empty(n), np.empty(n)
     for i in range(m):
+        br, bi, dr, di = base[i].real, base[i].imag, shift[i].real, shift[i].imag
+        lr = li = 0.0
         for k in range(n):
-            x = (base[i] - first[k]) + shift[i]
-            y = (base[i] - second[k]) + shift[i]
-            d = x * y
-            size = 1.0 / (d.real * d.real + d.imag * d.imag)
-            inverse = complex(d.real * size, -d.imag * size)
-            ratio = (x + y) * inverse
-            if first[k] != 0.0:
-                logarithmic[i] += ratio
-            for p in range(q):
-                part = constant[k, p] * inverse
-                value[p, i] += part
-                slope[p, i] -= part * ratio
+            xr, xi = _apart(br, real[k], dr), _apart(bi, imag[k], di)
+            yr, yi = _apart(br, other_real[k], dr), _apart(bi, other_imag[k], di)
+            er, ei = xr * yr - xi * yi, xr * yi + xi * yr
+            size = 1.0 / (er * er + ei * ei)
+            ir, ii = er * size, -ei * size
+            tr, ti = xr + yr, xi + yi
+            fr, fi = tr * ir - ti * ii, tr * ii + ti * ir
+            lr += moving[k] * fr
+            li += moving[k] * fi
+            ur[k], ui[k] = ir, ii
+            vr[k], vi[k] = fi * ii - fr * ir, -fr * ii - fi * ir
+        logarithmic[i] = complex(lr, li)
+        for c in range(q):
+            ar = ai = sr = si = 0.0
+            for k in range(n):
+                w = constant[c, k]
+                ar += w * ur[k]
+                ai += w * ui[k]
+                sr += w * vr[k]
+                si += w * vi[k]
+            value[c, i], slope[c, i] = complex(ar, ai), complex(sr, si)
+        s = base[i] + shift[i]
+        for c in range(linear.shape[0]):
+            ar = ai = sr = si = 0.0
+            for k in range(n):
+                w = linear[c, k]
+                ar += w * ur[k]
+                ai += w * ui[k]
+                sr += w * vr[k]
+                si += w * vi[k]
+            by_s = complex(ar, ai)
+            value[c, i] += s * by_s
+            slope[c, i] += s * complex(sr, si) + by_s
     return value, slope, logarithmic
 
 
-@numba.njit(error_model="numpy", cache=True)
+@numba.njit(fastmath=_SUMS, error_model="numpy", cache=True)
 def repulsion(
     base: ComplexArray,
     shift: ComplexArray,
@@ -73,17 +118,21 @@ def repulsion(
     line, place
         (r,) of the poles p that are asked for.
     """
-    total = np.zeros(line.size, dtype=np.complex128)
+    real, imag, by_real, by_imag = base.real.copy(), base.imag.copy(), shift.real.copy(), shift.imag.copy()
+    total = np.empty(line.size, dtype=np.complex128)
     for r in range(line.size):
         i, own = line[r], place[r]
-        b, d = base[i, own], shift[i, own]
+        b, c, d, e = real[i, own], imag[i, own], by_real[i, own], by_imag[i, own]
+        tr = ti = 0.0
         for j in range(pair.size):
-            if j != own:
-                x = (b - base[i, j]) + (d - shift[i, j])
-                size = 1.0 / (x.real * x.real + x.imag * x.imag)
-                total[r] += complex(x.real * size, -x.imag * size)
-            if pair[j]:
-                x = (b - base[i, j].conjugate()) + (d - shift[i, j].conjugate())
-                size = 1.0 / (x.real * x.real + x.imag * x.imag)
-                total[r] += complex(x.real * size, -x.imag * size)
+            x = _apart(b, real[i, j], d - by_real[i, j])
+            y = _apart(c, imag[i, j], e - by_imag[i, j])
+            size = 1.0 / (x * x + y * y) if j != own else 0.0
+            tr += x * size
+            ti -= y * size
+            y = _apart(c, -imag[i, j], e + by_imag[i, j])
+            size = 1.0 / (x * x + y * y) if pair[j] else 0.0
+            tr += x * size
+            ti -= y * size
+        total[r] = complex(tr, ti)
     return total

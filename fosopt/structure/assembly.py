@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -15,14 +15,43 @@ from fosopt.structure.truss import ROTATIONS, TRANSLATIONS, Batten, Structure, T
 
 
 @dataclass(frozen=True)
+class _Motion:
+    """Motion of a node or body, `block` times the degrees of freedom from the first one on."""
+
+    first: int
+    block: Array
+
+    def seen(self, by: Array) -> _Motion:
+        """What linear measurements `by` of it are."""
+        return _Motion(self.first, by @ self.block)
+
+
+@dataclass(frozen=True)
 class _Frame:
     """Where each node and batten keeps its degrees of freedom, before supports are removed."""
 
     dim: int
     names: tuple[str, ...]
-    node_maps: Mapping[str, sparse.csr_array]  # (dim, n) displacement of each node
-    body_maps: Mapping[str, sparse.csr_array]  # (n_component, n) motion of each free node or batten
+    index: Mapping[str, int]
+    node_maps: Mapping[str, _Motion]  # (dim,) displacement of each node
+    body_maps: Mapping[str, _Motion]  # (n_component,) motion of each free node or batten
     center: Mapping[str, Array]
+
+    def rows(self, parts: Sequence[Sequence[_Motion]]) -> sparse.csr_array:
+        """Sums of motions, one below the other; linear in their number, as thousands of bars need it."""
+        places: list[tuple[int, int, int, int]] = []
+        count = 0
+        for group in parts:
+            height = group[0].block.shape[0]
+            places += [(count, height, motion.first, motion.block.shape[1]) for motion in group]
+            count += height
+        values = [motion.block.ravel() for group in parts for motion in group]
+        i = [np.repeat(np.arange(row, row + height), width) for row, height, _, width in places]
+        j = [np.tile(np.arange(first, first + width), height) for _, height, first, width in places]
+        entries = np.concatenate(values), (np.concatenate(i), np.concatenate(j))
+        matrix = sparse.csr_array(entries, shape=(count, len(self.names)))
+        matrix.eliminate_zeros()
+        return matrix
 
 
 def assemble(truss: Truss, mirror_port: str) -> Structure:
@@ -98,24 +127,19 @@ def _frame(truss: Truss) -> _Frame:
         start[batten.name] = len(names)
         names += [f"{batten.name}.{c}" for c in components]
 
-    def pick(first: int, block: Array) -> sparse.csr_array:
-        rows, columns = np.nonzero(block)
-        return sparse.csr_array(
-            (block[rows, columns], (rows, first + columns)), shape=(block.shape[0], len(names))
-        )
-
     node_maps, body_maps, center = {}, {}, {}
     for node, xyz in truss.nodes.items():
         if node not in carried:
-            node_maps[node] = body_maps[node] = pick(start[node], np.eye(dim))
+            node_maps[node] = body_maps[node] = _Motion(start[node], np.eye(dim))
             center[node] = np.asarray(xyz, dtype=float)
     for batten in truss.battens:
         center[batten.name] = _center(truss, batten)
-        body_maps[batten.name] = pick(start[batten.name], np.eye(len(components)))
+        body_maps[batten.name] = _Motion(start[batten.name], np.eye(len(components)))
         for node in batten.nodes:
             arm = np.asarray(truss.nodes[node], dtype=float) - center[batten.name]
-            node_maps[node] = pick(start[batten.name], np.hstack([np.eye(dim), _cross(arm)]))
-    return _Frame(dim, tuple(names), node_maps, body_maps, center)
+            node_maps[node] = _Motion(start[batten.name], np.hstack([np.eye(dim), _cross(arm)]))
+    index = {name: i for i, name in enumerate(names)}
+    return _Frame(dim, tuple(names), index, node_maps, body_maps, center)
 
 
 def _center(truss: Truss, batten: Batten) -> Array:
@@ -135,7 +159,7 @@ def _cross(arm: Array) -> Array:
 def _dof(frame: _Frame, at: str, component: str, where: str) -> str:
     refuse_unknown(at, frame.body_maps, where)
     name = f"{at}.{component}"
-    if name not in frame.names:
+    if name not in frame.index:
         known = [n.split(".")[-1] for n in frame.names if n.rsplit(".", 1)[0] == at]
         raise ModelError(f"{where}: '{at}' has no component '{component}'; {did_you_mean(component, known)}")
     return name
@@ -148,15 +172,14 @@ def _stiffness(truss: Truss, frame: _Frame) -> tuple[sparse.csr_array, sparse.cs
     for bar, length in zip(truss.bars, lengths, strict=True):
         start, end = bar.nodes
         direction = (np.subtract(truss.nodes[end], truss.nodes[start]) / length)[None, :]
-        rows.append(sparse.csr_array(direction) @ (frame.node_maps[end] - frame.node_maps[start]))
+        rows.append([frame.node_maps[end].seen(direction), frame.node_maps[start].seen(-direction)])
     for spring in truss.springs:
-        index = frame.names.index(_dof(frame, spring.at, spring.component, "spring"))
-        rows.append(sparse.csr_array(([1.0], ([0], [index])), shape=(1, len(frame.names))))
+        rows.append([_Motion(frame.index[_dof(frame, spring.at, spring.component, "spring")], np.eye(1))])
     per_area = np.array([bar.young for bar in truss.bars]) / lengths
     n_bar, n_spring = len(truss.bars), len(truss.springs)
     by_area = sparse.vstack([sparse.diags_array(per_area), sparse.csr_array((n_spring, n_bar))], format="csr")
     by_spring = sparse.eye_array(n_bar + n_spring, n_spring, k=-n_bar, format="csr")
-    return sparse.csr_array(sparse.vstack(rows)), by_area, by_spring
+    return frame.rows(rows), by_area, by_spring
 
 
 @dataclass(frozen=True)
@@ -171,7 +194,7 @@ class _Mass:
 
 def _mass(truss: Truss, frame: _Frame, mirror_port: str) -> _Mass:
     dim, n_bar, n_batten = frame.dim, len(truss.bars), len(truss.battens)
-    rows: list[sparse.csr_array] = []
+    rows: list[list[_Motion]] = []
     area_entries: list[tuple[int, int, float]] = []
     batten_entries: list[tuple[int, int, float]] = []
     constant_entries: list[tuple[int, float]] = []
@@ -179,27 +202,29 @@ def _mass(truss: Truss, frame: _Frame, mirror_port: str) -> _Mass:
     bar_mass_per_area = np.array([bar.density for bar in truss.bars]) * bar_lengths(truss)
     for e, bar in enumerate(truss.bars):
         start, end = (frame.node_maps[node] for node in bar.nodes)
-        for motion, share in (((start + end) / 2, 1.0), (end - start, 1 / 12)):
-            rows.append(motion)
+        mean, difference = np.eye(dim) / 2, np.eye(dim)
+        for signs, share in (((mean, mean), 1.0), ((-difference, difference), 1 / 12)):
+            rows.append([start.seen(signs[0]), end.seen(signs[1])])
             area_entries += [(count + i, e, share * bar_mass_per_area[e]) for i in range(dim)]
             count += dim
     for r, batten in enumerate(truss.battens):
         inertia = np.broadcast_to(np.asarray(batten.inertia, dtype=float), (len(_rotations(dim)),))
         shares = np.concatenate([np.ones(dim), inertia / batten.mass])
-        rows.append(frame.body_maps[batten.name])
+        rows.append([frame.body_maps[batten.name]])
         batten_entries += [(count + i, r, share) for i, share in enumerate(shares)]
         count += shares.size
     for point in truss.points:
         refuse_unknown(point.at, frame.body_maps, "point mass")
         body = frame.body_maps[point.at]
-        values = np.full(body.shape[0], point.inertia)
+        values = np.full(body.block.shape[0], point.inertia)
         values[:dim] = point.mass
-        rows.append(body)
+        rows.append([body])
         constant_entries += [(count + i, value) for i, value in enumerate(values)]
         count += values.size
     at, component = truss.ports[mirror_port]
     _dof(frame, at, component, f"port '{mirror_port}'")
-    rows.append(frame.body_maps[at][:dim])
+    body = frame.body_maps[at]
+    rows.append([body.seen(np.eye(dim, body.block.shape[0]))])
     by_mirror = np.concatenate([np.zeros(count), np.ones(dim)])
     count += dim
 
@@ -213,7 +238,7 @@ def _mass(truss: Truss, frame: _Frame, mirror_port: str) -> _Mass:
     for index, value in constant_entries:
         constant[index] = value
     return _Mass(
-        rows=sparse.csr_array(sparse.vstack(rows)),
+        rows=frame.rows(rows),
         by_area=table(area_entries, n_bar),
         by_batten=table(batten_entries, n_batten),
         by_mirror=by_mirror,
@@ -233,6 +258,6 @@ def _unit_rotation(truss: Truss, frame: _Frame) -> Array:
     motion = np.zeros(len(frame.names))
     for name, body in frame.body_maps.items():
         rotation = _cross(frame.center[name] - frame.center[at]) @ axis
-        values = np.concatenate([rotation, axis])[: body.shape[0]]
-        motion += body.T @ values
+        count = body.block.shape[0]
+        motion[body.first : body.first + count] += np.concatenate([rotation, axis])[:count]
     return motion

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Collection, Iterable
 
 import numpy as np
 
@@ -33,9 +33,8 @@ def check_truss(truss: Truss, mirror_port: str) -> None:
             raise ModelError(f"port '{port}' does not exist; {did_you_mean(port, truss.ports)}")
 
 
-def refuse_unknown(name: str, names: Iterable[str], where: str) -> None:
+def refuse_unknown(name: str, names: Collection[str], where: str) -> None:
     """Refuse a name that does not exist."""
-    names = list(names)
     if name not in names:
         raise ModelError(f"{where}: '{name}' does not exist; {did_you_mean(name, names)}")
 
