@@ -9,13 +9,16 @@ from typing import Any
 
 import casadi as ca
 import numpy as np
+from scipy import sparse
 
 from fosopt.actuators import BICOLLOCATED, Mirror, MirrorReactionMass, Placement, ReactionMassActuator
 from fosopt.control import (
+    DIRECT,
     NUMERATORS,
     PID,
     Loop,
     Receptances,
+    SignalPath,
     characteristic,
     closed_loop_response,
     loop_transfer,
@@ -38,18 +41,23 @@ LOOP_PARAMETERS = (
 )
 
 
+# Of so many variables a Jacobian is mostly zeros.
+LARGE_JACOBIAN = 500
+
+
 @dataclass(frozen=True)
 class Layout:
-    """What of a loop is no parameter: where it acts, and what else is on the structure."""
+    """What of a loop is no parameter: where it acts, what else is on the structure, filters and sampling."""
 
     placement: Placement = BICOLLOCATED
     actuators: tuple[ReactionMassActuator, ...] = ()
     reaction_mass: MirrorReactionMass | None = None
+    path: SignalPath = DIRECT
 
 
 def layout_of(loop: Loop) -> Layout:
     """The layout of a loop."""
-    return Layout(loop.placement, loop.actuators, loop.mirror.reaction_mass)
+    return Layout(loop.placement, loop.actuators, loop.mirror.reaction_mass, loop.controller.path)
 
 
 _MIRROR_ALONE = Layout()
@@ -59,7 +67,7 @@ def loop_of(parameters: Any, layout: Layout = _MIRROR_ALONE) -> Loop:
     """A loop from its (8,) parameters in the order of `LOOP_PARAMETERS`, and its layout."""
     j, w, z, gain, kp, ki, kd, time = (parameters[i] for i in range(len(LOOP_PARAMETERS)))
     mirror = Mirror(j, w, z, layout.reaction_mass)
-    return Loop(mirror, PID(gain, kp, ki, kd, time), layout.placement, layout.actuators)
+    return Loop(mirror, PID(gain, kp, ki, kd, time, layout.path), layout.placement, layout.actuators)
 
 
 def loop_parameters(loop: Loop) -> Array:
@@ -171,7 +179,7 @@ def _call(function: ca.Function, *arguments: Array) -> list[Array]:
     buffer: Any
     buffer, run = function.buffer()
     shared = [np.ascontiguousarray(argument).reshape(-1) for argument in arguments]
-    results = [np.zeros(function.numel_out(i)) for i in range(function.n_out())]
+    results = [np.zeros(function.nnz_out(i)) for i in range(function.n_out())]
     for i, memory in enumerate(shared):
         buffer.set_arg(i, memory.data)
     for i, memory in enumerate(results):
@@ -188,18 +196,25 @@ class Differentiable:
     formula
         Takes an (n,) vector, numbers or symbols, and gives an (m,) vector.
     size
-        n.
+        n; from `LARGE_JACOBIAN` on the Jacobian is sparse.
     """
 
     def __init__(self, formula: Callable[[Any], Any], size: int) -> None:
         x = ca.SX.sym("x", size)
         value = ca.densify(ca.SX(formula(x)))
-        self._function = ca.Function("f", [x], [value, ca.densify(ca.jacobian(value, x))])
+        jacobian = ca.jacobian(value, x)
+        if size < LARGE_JACOBIAN:
+            jacobian = ca.densify(jacobian)
+        self._pattern = jacobian.sparsity()
+        self._places = (np.array(self._pattern.row()), np.array(self._pattern.colind()))
+        self._function = ca.Function("f", [x], [value, jacobian])
 
-    def __call__(self, x: Array) -> tuple[Array, Array]:
+    def __call__(self, x: Array) -> tuple[Array, Array | sparse.csc_array]:
         """(m,) values and (m, n) Jacobian at (n,) `x`."""
         value, jacobian = _call(self._function, x)
-        return value, jacobian.reshape(x.size, value.size).T
+        if self._pattern.is_dense():
+            return value, jacobian.reshape(x.size, value.size).T
+        return value, sparse.csc_array((jacobian, *self._places), shape=self._pattern.shape)
 
 
 class OracleFunction(ca.Callback):

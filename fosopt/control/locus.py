@@ -110,8 +110,9 @@ def _at_zero_gain(loop: Loop, modes: ModalSet, mirror_port: str) -> ComplexArray
     pid = loop.controller
     plant = closed_loop_poles(replace(loop, controller=PID(0.0, 0.0, 0.0, 0.0)), modes, mirror_port).all
     integrator = [0.0] if pid.ki else []
-    low_pass = [-1 / pid.rolloff_time] if pid.rolloff_time and pid.kd else []
-    return np.concatenate([plant, integrator, low_pass])
+    low_pass = [-1 / pid.lag] if pid.lag and pid.kd else []
+    filters = [section.poles for section in pid.path.sections]
+    return np.concatenate([plant, integrator, low_pass, *filters])
 
 
 def _joined(gain: Array, poles: Callable[[float], ComplexArray]) -> ComplexArray:

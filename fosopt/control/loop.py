@@ -14,14 +14,14 @@ Every formula is a rational function of `s`, the receptances and the parameters:
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Collection, Iterator
 from dataclasses import dataclass
-from functools import cache
+from functools import cache, cached_property
 from math import isqrt
 from typing import Any
 
 from fosopt.actuators import BICOLLOCATED, Mirror, Placement, ReactionMassActuator, Suspended
-from fosopt.control.pid import PID, pid_response
+from fosopt.control.pid import PID, command_response, pid_response
 
 _REFERENCE, _HUB = 0, 1
 
@@ -35,7 +35,7 @@ class Loop:
     placement: Placement = BICOLLOCATED
     actuators: tuple[ReactionMassActuator, ...] = ()
 
-    @property
+    @cached_property
     def other_ports(self) -> tuple[str, ...]:
         """Ports beside the mirror's own and the hub."""
         place = self.placement
@@ -52,7 +52,7 @@ class Loop:
             return _REFERENCE
         return _HUB if port == "hub" else 2 + self.other_ports.index(port)
 
-    @property
+    @cached_property
     def pairs(self) -> tuple[tuple[int, int], ...]:
         """Pairs of ports whose receptances the formulas use."""
         place = self.placement
@@ -118,31 +118,59 @@ class Receptances:
         """All of them, in the order of `port_pairs`."""
         return (self.direct, self.cross, *self.others)
 
+    @property
+    def pairs(self) -> tuple[tuple[int, int], ...]:
+        """The pair of ports of each of `values`."""
+        return port_pairs(self._count) if self.others else ((0, 0), (0, 1))
+
     def between(self, port: int, other: int) -> Any:
         """Receptance between two ports by their index."""
         if not self.others:
             return self.direct if port == other else self.cross
-        count = (isqrt(8 * (2 + len(self.others)) + 1) - 1) // 2
-        return self.values[_places(count)[min(port, other), max(port, other)]]
+        return self.values[_places(self._count)[min(port, other), max(port, other)]]
+
+    @property
+    def _count(self) -> int:
+        return (isqrt(8 * (2 + len(self.others)) + 1) - 1) // 2
 
 
 def with_attachments(loop: Loop, s: Any, g: Receptances) -> Receptances:
     """Receptances of the structure with everything on it but the mirror.
 
-    Each attachment of dynamic stiffness D at port a is one rank-one update, g_pq − g_pa g_aq D/(1 + D g_aa).
     [Barker1991] Eqs. (2.38), (2.47); [Sherman1950]
     """
-    for a, body in loop.attachments:
-        stiffness = body.dynamic_stiffness(s)
-        held = 1 + stiffness * g.between(a, a)
-        values = []
-        for p, q in loop.pairs:
-            if a in (p, q):  # the same quotient without its cancellation
-                values.append(g.between(p, q) / held)
-            else:
-                values.append(g.between(p, q) - g.between(p, a) * g.between(a, q) * stiffness / held)
-        g = Receptances.of(values)
+    for port, body in loop.attachments:
+        g = attach(s, g, port, body, loop.pairs)
     return g
+
+
+def attach(
+    s: Any, g: Receptances, port: int, body: Suspended, wanted: Collection[tuple[int, int]]
+) -> Receptances:
+    """Receptances with a body of dynamic stiffness D at port a: the rank-one update g_pq − g_pa g_aq D/(1 + D g_aa).
+
+    [Sherman1950]
+
+    Parameters
+    ----------
+    wanted
+        Pairs that are asked for, with all that their updates need; the others stay as they are.
+    """
+    kappa = body.coupling(s)
+    inertial = body.inertia * s**2
+    # D and 1 + D g_aa times J s² + κ, which is zero at the body's own resonance.
+    stiffness, free = inertial * kappa, inertial + kappa
+    held = impedance(s, body.inertia, kappa, g.between(port, port))
+    values = []
+    for p, q in g.pairs:
+        known = g.between(p, q)
+        if (p, q) not in wanted:
+            values.append(known)
+        elif port in (p, q):  # the same quotient without its cancellation
+            values.append(known * free / held)
+        else:
+            values.append(known - g.between(p, port) * g.between(port, q) * stiffness / held)
+    return Receptances.of(values)
 
 
 def coupling(loop: Loop, s: Any) -> Any:
@@ -155,8 +183,15 @@ def plant_impedance(loop: Loop, s: Any, g: Receptances) -> Any:
 
     Its zeros are the poles of the coupled plant.    [Barker1991] Eq. (4.18)
     """
-    kappa = coupling(loop, s)
-    return loop.mirror.inertia * s**2 * (1 + kappa * g.direct) + kappa
+    return impedance(s, loop.mirror.inertia, coupling(loop, s), g.direct)
+
+
+def impedance(s: Any, inertia: Any, kappa: Any, receptance: Any) -> Any:
+    """J s² (1 + κ g) + κ of a body on a spring and damper κ where the receptance is g.
+
+    Its zeros are the poles of structure and body together.    [Barker1991] Eq. (4.18)
+    """
+    return inertia * s**2 * (1 + kappa * receptance) + kappa
 
 
 def _leakage(loop: Loop, s: Any, g: Receptances, port: int) -> Any:
@@ -164,8 +199,10 @@ def _leakage(loop: Loop, s: Any, g: Receptances, port: int) -> Any:
     shares, counter = loop.mirror.reaction_mass, loop.mirror.counter
     if shares is None or counter is None:
         return 0.0
-    through = counter.transmission(s) * g.between(port, _REFERENCE)
-    return shares.torque_ratio * (g.between(port, loop.index(loop.placement.reaction)) - through)
+    reacting, mounted = loop.index(loop.placement.reaction), g.between(port, _REFERENCE)
+    if reacting == _REFERENCE:
+        return shares.torque_ratio * (mounted * counter.slip(s))
+    return shares.torque_ratio * (g.between(port, reacting) - counter.transmission(s) * mounted)
 
 
 def _reach(loop: Loop, s: Any, g: Receptances, port: int) -> Any:
@@ -216,7 +253,19 @@ def loop_transfer(loop: Loop, s: Any, g: Receptances) -> Any:
 
 def command_numerator(loop: Loop, s: Any, g: Receptances) -> Any:
     """Mirror angle per commanded angle times Δ.    [Barker1991] Eq. (4.28)"""
-    return mirror_gain(loop, s, g) * pid_response(loop.controller, s)
+    return mirror_gain(loop, s, g) * command_response(loop.controller, s)
+
+
+def torque_numerator(loop: Loop, s: Any, g: Receptances) -> Any:
+    """Control torque per commanded angle times Δ, Z K."""
+    return plant_impedance(loop, s, g) * command_response(loop.controller, s)
+
+
+def stroke_numerator(loop: Loop, s: Any, g: Receptances) -> Any:
+    """Angle of the mirror against its port per commanded angle times Δ; (1 + J_m s² g_rr) K for a bicollocated one."""
+    acting = 0.0 if loop.placement.action else 1.0
+    own = acting - loop.mirror.inertia * s**2 * _structure_reach(loop, s, g, _REFERENCE)
+    return own * command_response(loop.controller, s)
 
 
 def line_of_sight_numerator(loop: Loop, s: Any, g: Receptances) -> Any:
@@ -230,7 +279,7 @@ def line_of_sight_numerator(loop: Loop, s: Any, g: Receptances) -> Any:
 
 def sensor_noise_numerator(loop: Loop, s: Any, g: Receptances) -> Any:
     """Mirror angle per measurement noise times Δ."""
-    return -command_numerator(loop, s, g)
+    return -mirror_gain(loop, s, g) * pid_response(loop.controller, s)
 
 
 def mirror_torque_numerator(loop: Loop, s: Any, g: Receptances) -> Any:
@@ -270,6 +319,14 @@ NUMERATORS: dict[str, Formula] = {
     "line_of_sight": line_of_sight_numerator,
     "sensor_noise": sensor_noise_numerator,
     "command": command_numerator,
+}
+
+
+# Numerators of what the mirror does when it is commanded.
+COMMANDED: dict[str, Formula] = {
+    "command": command_numerator,
+    "stroke": stroke_numerator,
+    "torque": torque_numerator,
 }
 
 

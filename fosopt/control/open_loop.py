@@ -12,12 +12,15 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import linalg
 
-from fosopt.control.loop import Loop, Receptances
+from fosopt.actuators import Suspended
+from fosopt.control.loop import Loop, Receptances, attach
 from fosopt.modes import ModalSet
 from fosopt.ops import Array, ComplexArray, Dual
 from fosopt.plant import attached
 
 _SAME = 1e-13
+# Points times modes that are worked on at once: more of them leave the cache.
+BLOCK = 2**14
 
 
 @dataclass(frozen=True)
@@ -38,6 +41,8 @@ class OpenLoopPoles:
     drifting
         Whether a free rigid-body mode is present; its double pole at zero stays where it is, because internal
         torque cannot move it.
+    hung
+        What hangs on the structure beyond its poles, with the index of its port: `receptances` adds it.
     """
 
     first: ComplexArray
@@ -47,6 +52,7 @@ class OpenLoopPoles:
     seen: NDArray[np.bool_]
     uncoupled: ComplexArray
     drifting: bool
+    hung: tuple[tuple[int, Suspended], ...] = ()
 
     def factors(
         self, base: ComplexArray, shift: ComplexArray, without: NDArray[np.intp] | None = None
@@ -88,7 +94,35 @@ class OpenLoopPoles:
 
     def receptances(self, base: ComplexArray, shift: ComplexArray) -> Receptances:
         """Receptances at s = base + shift, (m,) each, with their derivatives in `s`."""
-        return Receptances.of(self.summed(*self.factors(base, shift), base + shift))
+        s = base + shift
+        g = Receptances.of(self.sums(base, shift)[0])
+        for port, body in self.hung:
+            g = attach(Dual(s, 1.0), g, port, body, g.pairs)
+        return g
+
+    def sums(
+        self, base: ComplexArray, shift: ComplexArray, first: int | None = None
+    ) -> tuple[list[Dual], ComplexArray]:
+        """The `first` pairs of receptances, or all, at s = base + shift, and Σ_k D_k′/D_k there.
+
+        A double pole at zero is no part of the last sum.
+        """
+        moving = (self.first != 0).astype(float)
+        rows = max(BLOCK // max(self.first.size, 1), 1)
+        found = []
+        for start in range(0, max(base.size, 1), rows):
+            b, d = base[start : start + rows], shift[start : start + rows]
+            inverse, logarithmic = self.factors(b, d)
+            found.append((self.summed(inverse, logarithmic, b + d, first), logarithmic @ moving))
+        if len(found) == 1:
+            return found[0]
+        pairs = [
+            Dual(
+                np.concatenate([each.value for each in parts]), np.concatenate([each.slope for each in parts])
+            )
+            for parts in zip(*(pairs for pairs, _ in found), strict=True)
+        ]
+        return pairs, np.concatenate([known for _, known in found])
 
     def summed(
         self, inverse: ComplexArray, logarithmic: ComplexArray, s: ComplexArray, first: int | None = None
@@ -110,11 +144,13 @@ def open_loop_poles(loop: Loop, modes: ModalSet, mirror_port: str) -> OpenLoopPo
     shapes = np.array([modes.at(port) for port in loop.ports(mirror_port)]).T
     if not loop.bare:
         return _with_attachments(loop, modes, mirror_port, shapes)
+    if loop.plain and loop.mirror.stiffness == 0:
+        shapes = np.zeros_like(shapes)  # Without a spring the mirror neither moves nor feels the structure.
     stiffness, half = modes.stiffness, 0.5 * modes.damping
     root = np.sqrt((half**2 - stiffness).astype(complex))
     first, second = -half + root, -half - root
     constant = np.column_stack([shapes[:, a] * shapes[:, b] for a, b in loop.pairs])
-    seen = np.any(constant[:, _moving(loop)], axis=1)
+    seen = np.any(constant[:, moving_pairs(loop)], axis=1)
     constant, hidden = _combined(loop, modes, constant)
     return OpenLoopPoles(
         first[~hidden],
@@ -127,10 +163,18 @@ def open_loop_poles(loop: Loop, modes: ModalSet, mirror_port: str) -> OpenLoopPo
     )
 
 
-def _moving(loop: Loop) -> list[int]:
-    """Columns of the pairs through which the loop can move a mode: all but those with the hub, if it only pushes."""
+def moving_pairs(loop: Loop, hub: bool = False) -> list[int]:
+    """Places in `Loop.pairs` of those through which the loop can move a mode, on which Δ depends.
+
+    Parameters
+    ----------
+    hub
+        Whether those are wanted too through which a torque on the hub reaches the line of sight.
+    """
     place = loop.placement
     in_loop = {0, *(loop.index(p) for p in (place.reaction, place.sensor, place.action) if p is not None)}
+    if hub:
+        in_loop.add(1)
     # A sensor on the mirror sees a mode through the mirror's port alone.
     rows = {0} if place.sensor is None else in_loop
     return [k for k, (a, b) in enumerate(loop.pairs) if {a, b} <= in_loop and rows & {a, b}]
@@ -142,7 +186,7 @@ def _combined(loop: Loop, modes: ModalSet, constant: Array) -> tuple[Array, NDAr
     Modes that share frequency and damping act as one with the sum of their contributions; what is left of them
     the loop cannot move.
     """
-    moving = _moving(loop)
+    moving = moving_pairs(loop)
     if loop.placement.sensor is not None:
         # Seen from the structure, two modes of one pole may both be moved.
         return constant, ~np.any(constant[:, moving], axis=1)

@@ -8,23 +8,27 @@ accuracy however small it is.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+from math import prod
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy import linalg
 
-from fosopt.control.loop import Loop, Receptances, characteristic, plant_impedance
-from fosopt.control.open_loop import OpenLoopPoles, open_loop_poles
+from fosopt.actuators import Suspended
+from fosopt.control.loop import Loop, Receptances, attach, characteristic, impedance, plant_impedance
+from fosopt.control.open_loop import BLOCK, OpenLoopPoles, moving_pairs, open_loop_poles
 from fosopt.control.pid import pid_response
 from fosopt.control.state_space import closed_loop_state_space
 from fosopt.errors import SolverError
 from fosopt.modes import ModalSet
 from fosopt.ops import Array, ComplexArray, Dual
 
-MAX_ITERATIONS = 60
+_MAX_ITERATIONS = 60
 _CONVERGED = 1e-9  # relative step of a shift; convergence is at least quadratic, so it leaves nothing
+_ROUNDING = 1e-11  # relative step of a pole below which it may be rounding
 _TRACE = 1e-8
 
 
@@ -90,13 +94,13 @@ def closed_loop_poles(
     open_loop = open_loop_poles(loop, modes, mirror_port)
     if near is not None and np.array_equal(near.open_loop.first, open_loop.first):
         followed = _aberth(loop, open_loop, near.base, near.shift, near.multiplicity)
-        if followed is not None and complete(loop, open_loop, followed):
+        if followed is not None and complete(loop, followed):
             return followed
     base, shift, multiplicity = _start(loop, open_loop)
     found = _aberth(loop, open_loop, base, shift, multiplicity)
-    if found is None or not complete(loop, open_loop, found):
+    if found is None or not complete(loop, found):
         found = _dense(loop, modes, mirror_port, open_loop)
-        if not complete(loop, open_loop, found):
+        if not complete(loop, found):
             raise SolverError(
                 "closed-loop poles: the set found violates the sum of poles (trace); rescale gains or inertia"
             )
@@ -106,7 +110,9 @@ def closed_loop_poles(
 def _controller_poles(loop: Loop) -> ComplexArray:
     """Poles of the loop on a rigid support, the guess for those that belong to mirror and controller."""
     mirror, pid = loop.mirror, loop.controller
-    lag = pid.rolloff_time if pid.kd else 0.0
+    lag = pid.lag if pid.kd else 0.0
+    if pid.path.sections:
+        return _filtered_poles(loop)
     # (J s² + c s + k) s (1 + T s) + gain [(k_p s + k_i)(1 + T s) + k_d s²]
     coefficients = np.array(
         [
@@ -118,6 +124,21 @@ def _controller_poles(loop: Loop) -> ComplexArray:
         ]
     )
     return np.roots(coefficients[int(lag == 0) : 4 + int(pid.ki != 0)]).astype(complex)
+
+
+def _filtered_poles(loop: Loop) -> ComplexArray:
+    """The same with filters, whose poles are among them: zeros of (J s² + c s + k) D + N with K = N/D."""
+    mirror, pid = loop.mirror, loop.controller
+    low_pass = [pid.lag, 1.0] if pid.kd else [1.0]
+    numerator = np.polyadd(np.polymul([pid.kp, pid.ki], low_pass), [pid.kd, 0.0, 0.0])
+    denominator = np.polymul([1.0, 0.0], low_pass)
+    if not pid.ki:
+        numerator, denominator = numerator[:-1], denominator[:-1]
+    for section in pid.path.sections:
+        numerator = np.polymul(numerator, section.numerator)
+        denominator = np.polymul(denominator, section.denominator)
+    plant = [mirror.inertia, mirror.damping, mirror.stiffness]
+    return np.roots(np.polyadd(np.polymul(plant, denominator), pid.gain * numerator)).astype(complex)
 
 
 def _start(loop: Loop, open_loop: OpenLoopPoles) -> tuple[ComplexArray, ComplexArray, NDArray[np.intp]]:
@@ -144,8 +165,11 @@ def _start(loop: Loop, open_loop: OpenLoopPoles) -> tuple[ComplexArray, ComplexA
     rest = open_loop.summed(*factors, structural, _needed(loop))
     numerator = open_loop.numerators(structural, own)
     pairs = [Dual(pair.value, numerator[:, k]) for k, pair in enumerate(rest)]
-    delta = characteristic(loop, Dual(structural, 0.0), _of(pairs))
-    push, delta = delta.slope, delta.value
+    with np.errstate(divide="ignore", invalid="ignore"):
+        # A reaction mass on a port that does not move keeps its own pole, where its transmission has no value.
+        delta = characteristic(loop, Dual(structural, 0.0), _of(pairs))
+    still = ~np.isfinite(delta.value)
+    push, delta = np.where(still, 0.0, delta.slope), np.where(still, 1.0, delta.value)
     other = np.where(structural == open_loop.first[own], open_loop.second[own], open_loop.first[own])
     gap = structural - other
     # Two poles in one place (critical damping) part as the square root of the push.
@@ -173,52 +197,77 @@ def _aberth(
     shift: ComplexArray,
     multiplicity: NDArray[np.intp],
 ) -> ClosedLoopPoles | None:
-    moving = (open_loop.first != 0).astype(float)
-    needed = _needed(loop)
-    pair = multiplicity == 2
-    mirrored, shift = base[pair].conj(), shift.copy()
-    rows = np.arange(base.size)  # poles that still move
+    needed, pair, shift = _needed(loop), multiplicity == 2, shift.copy()
+    rows, before = np.arange(base.size), np.full(base.size, np.inf)  # poles that still move, and by how much
     with np.errstate(all="ignore"):
-        for _ in range(MAX_ITERATIONS):
+        for _ in range(_MAX_ITERATIONS):
             b, d = base[rows], shift[rows]
             s = b + d
-            inverse, logarithmic = open_loop.factors(b, d)
-            pairs = open_loop.summed(inverse, logarithmic, s, needed)
-            apart = (b[:, None] - base) + (d[:, None] - shift)
-            apart[np.arange(rows.size), rows] = np.inf
-            repulsion = (1 / apart).sum(axis=1)
-            repulsion += (1 / ((b[:, None] - mirrored) + (d[:, None] - shift[pair].conj()))).sum(axis=1)
-            step = aberth_step(loop, s, _of(pairs), logarithmic @ moving, repulsion)
+            pairs, known = open_loop.sums(b, d, needed)
+            step = aberth_step(loop, s, _of(pairs), known, _repulsion(base, shift, pair, rows))
             step = np.where(pair[rows], step, step.real)
             if not np.isfinite(step).all():
                 return None
             shift[rows] = d = d - step
-            rows = rows[moves(step, d, s)]
+            still = moves(step, before[rows], d, s)
+            before[rows] = np.abs(step)
+            rows = rows[still]
             if rows.size == 0:
                 return ClosedLoopPoles(base, shift, multiplicity, open_loop)
     return None
 
 
-def aberth_step(
-    loop: Loop, s: ComplexArray, g: Receptances, known: ComplexArray, repulsion: ComplexArray
+def _repulsion(
+    base: ComplexArray, shift: ComplexArray, pair: NDArray[np.bool_], rows: NDArray[np.intp]
 ) -> ComplexArray:
-    """Step from (m,) poles towards the zeros of Δ(s) Π_k D_k(s).    [Aberth1973]
+    """Σ 1/(p − p_j) over all other poles and the conjugates of pairs, for the poles p of `rows`."""
+    mirrored, by = base[pair].conj(), shift[pair].conj()
+    total = np.empty(rows.size, dtype=complex)
+    size = max(BLOCK // base.size, 1)
+    for start in range(0, rows.size, size):
+        part = rows[start : start + size]
+        b, d = base[part, None], shift[part, None]
+        apart = (b - base) + (d - shift)
+        apart[np.arange(part.size), part] = np.inf
+        total[start : start + size] = (1 / apart).sum(axis=1) + (1 / ((b - mirrored) + (d - by))).sum(axis=1)
+    return total
+
+
+def aberth_step(
+    loop: Loop,
+    s: ComplexArray,
+    g: Receptances,
+    known: ComplexArray,
+    repulsion: ComplexArray,
+    hung: Sequence[tuple[int, Suspended]] = (),
+) -> ComplexArray:
+    """Step from (m,) poles towards the zeros of Δ(s) Π_k D_k(s) Π_a E_a(s).    [Aberth1973]
+
+    E_a is the impedance of what hangs on the structure beyond its poles D_k, each body on what the one before has
+    made of it: it takes the poles away that a body gives to the receptances.
 
     Parameters
     ----------
     g
-        Receptances at `s` with their derivatives.
+        Receptances at `s` with their derivatives, those of the structure without `hung`.
     known
         Σ_k D_k′/D_k.
     repulsion
         Σ 1/(s − p) over all other poles p.
     """
-    pid = loop.controller
-    delta = characteristic(loop, Dual(s, 1.0), g)
+    pid, at = loop.controller, Dual(s, 1.0)
+    wanted = [loop.pairs[k] for k in moving_pairs(loop)] if hung else []
+    for port, body in hung:
+        own = impedance(at, body.inertia, body.coupling(at), g.between(port, port))
+        known = known + own.slope / own.value
+        g = attach(at, g, port, body, wanted)
+    delta = characteristic(loop, at, g)
     if _present(pid.ki):
         known = known + 1 / s
-    if _present(pid.rolloff_time) and _present(pid.kd):
-        known = known + pid.rolloff_time / (1 + pid.rolloff_time * s)
+    if _present(pid.lag) and _present(pid.kd):
+        known = known + pid.lag / (1 + pid.lag * s)
+    for section in pid.path.sections:
+        known = known + (1 / (s[..., None] - section.poles)).sum(axis=-1)
     # Multiplied through by Δ, so that a shift that is already exact gives a step of zero.
     return delta.value / (delta.slope + delta.value * (known - repulsion))
 
@@ -228,40 +277,64 @@ def _present(gain: Any) -> bool:
     return bool(gain.any()) if isinstance(gain, np.ndarray) else gain != 0
 
 
-def moves(step: ComplexArray, shift: ComplexArray, s: ComplexArray) -> NDArray[np.bool_]:
-    """Which poles a step still moves by more than rounding."""
+def moves(step: ComplexArray, before: Array, shift: ComplexArray, s: ComplexArray) -> NDArray[np.bool_]:
+    """Which poles a step still moves by more than rounding.
+
+    Parameters
+    ----------
+    before
+        Sizes of the steps before: small ones that do not shrink any more are the rounding of Δ.
+    """
     size = np.abs(step)
-    return (size > _CONVERGED * np.abs(shift)) & (size > 1e-15 * np.abs(s))
+    stuck = (size < _ROUNDING * np.abs(s)) & (size > 0.5 * before)
+    return (size > _CONVERGED * np.abs(shift)) & (size > 1e-15 * np.abs(s)) & ~stuck
 
 
-def complete(loop: Loop, open_loop: OpenLoopPoles, poles: ClosedLoopPoles) -> bool:
+def complete(loop: Loop, poles: ClosedLoopPoles) -> bool:
     """Whether the poles add up to the trace of the closed loop, which a missing or doubled pole would break."""
+    return bool(adds_up(loop, poles.open_loop, poles.value, poles.multiplicity))
+
+
+def adds_up(
+    loop: Loop, open_loop: OpenLoopPoles, value: ComplexArray, multiplicity: NDArray[np.intp]
+) -> NDArray[np.bool_]:
+    """(...,) The same for (..., m) poles of loops whose numbers are (..., 1) arrays."""
     pid = loop.controller
-    value, weight = poles.value, poles.multiplicity
-    if np.any(value[weight == 2].imag <= 0):
-        return False
-    low_pass = pid.rolloff_time > 0 and pid.kd != 0
+    low_pass = _present(pid.lag) and _present(pid.kd)
     trace = _plant_trace(loop, open_loop)
-    trace += 1 / pid.rolloff_time if low_pass else pid.gain * pid.kd * _mobility(loop, open_loop)
-    found = -(weight * value.real).sum()
-    count = 2 * int((open_loop.first != 0).sum()) + 2 + (pid.ki != 0) + low_pass
-    return int(weight.sum()) == count and abs(found - trace) <= _TRACE * np.abs(value).sum()
+    sections = pid.path.sections
+    direct = prod(section.direct for section in sections)
+    lead = pid.gain * pid.kd * direct * _mobility(loop, open_loop)
+    trace = trace + (1 / pid.lag if low_pass else lead)
+    trace = trace - sum(float(section.poles.real.sum()) for section in sections)
+    found = -(multiplicity * value.real).sum(axis=-1, keepdims=True)
+    size = np.abs(value).sum(axis=-1, keepdims=True)
+    bodies = 1 + len(open_loop.hung)
+    count = 2 * int((open_loop.first != 0).sum()) + 2 * bodies + _present(pid.ki) + low_pass
+    count += sum(section.order for section in sections)
+    upper = np.all((multiplicity == 1) | (value.imag > 0), axis=-1)
+    right: NDArray[np.bool_] = np.abs(found - trace) <= _TRACE * size
+    return right[..., 0] & upper & (int(multiplicity.sum()) == count)
 
 
-def _plant_trace(loop: Loop, open_loop: OpenLoopPoles) -> float:
+def _plant_trace(loop: Loop, open_loop: OpenLoopPoles) -> Any:
     """Sum of the plant's poles, negative: what its dampers make of it."""
-    free = open_loop.mobility.direct + 1 / loop.mirror.inertia
-    return float(-(open_loop.first + open_loop.second).real.sum() + loop.mirror.damping * free)
+    free = open_loop.mobility
+    total = -(open_loop.first + open_loop.second).real.sum()
+    total = total + loop.mirror.damping * (free.direct + 1 / loop.mirror.inertia)
+    for port, body in open_loop.hung:
+        total = total + body.damping * (free.between(port, port) + 1 / body.inertia)
+    return total
 
 
-def _mobility(loop: Loop, open_loop: OpenLoopPoles) -> float:
+def _mobility(loop: Loop, open_loop: OpenLoopPoles) -> Any:
     """Acceleration of what is sensed per control torque, at once: lim s² G(s) [1/(kg m²)]."""
     place, shares = loop.placement, loop.mirror.reaction_mass
     if place.sensor is None:
         return 1 / loop.mirror.inertia if place.action is None else 0.0
     free, j = open_loop.mobility, loop.index(place.sensor)
     reacting = free.between(j, loop.index(place.reaction)) * (1 - (shares.torque_ratio if shares else 0.0))
-    return float((free.between(j, loop.index(place.action)) if place.action else 0.0) - reacting)
+    return (free.between(j, loop.index(place.action)) if place.action else 0.0) - reacting
 
 
 def _dense(loop: Loop, modes: ModalSet, mirror_port: str, open_loop: OpenLoopPoles) -> ClosedLoopPoles:
@@ -281,7 +354,7 @@ def _dense(loop: Loop, modes: ModalSet, mirror_port: str, open_loop: OpenLoopPol
         base = np.where(close, nearest, kept)
     shift = kept - base
     polished = _aberth(loop, open_loop, base, np.where(shift == 0, 1e-14 * np.abs(base), shift), multiplicity)
-    if polished is not None and complete(loop, open_loop, polished):
+    if polished is not None and complete(loop, polished):
         return polished
     return ClosedLoopPoles(base, shift, multiplicity, open_loop)
 

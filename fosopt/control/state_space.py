@@ -2,17 +2,19 @@
 
     ẋ = A x + B u,   y = C x + D u
 
-with x = [coordinates q, velocities q̇, integral of the error, derivative filter] and q = [modal coordinates,
-mirror angle, mirror reaction mass, proof masses].
+with x = [coordinates q, velocities q̇, anti-alias filters, filters on the error, integral of the error, derivative
+filter] and q = [modal coordinates, mirror angle, mirror reaction mass, proof masses].
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 
+from fosopt.control.filter_states import FilterStates, filter_state_space
 from fosopt.control.loop import Loop
 from fosopt.errors import ModelError, did_you_mean
 from fosopt.modes import ModalSet
@@ -33,6 +35,8 @@ class StateSpace:
         (n, n), (n, m), (p, n), (p, m).
     inputs, outputs
         (m,), (p,) names.
+    period
+        Of a system from sample to sample, in whose response s is z; None for a continuous one [s].
     """
 
     a: Array
@@ -41,6 +45,7 @@ class StateSpace:
     d: Array
     inputs: tuple[str, ...]
     outputs: tuple[str, ...]
+    period: float | None = None
 
     def response(self, s: ComplexArray, input_name: str, output_name: str) -> ComplexArray:
         """(m,) C (sI − A)⁻¹ B + D from one input to one output at (m,) Laplace variables.
@@ -156,41 +161,46 @@ def closed_loop_state_space(loop: Loop, modes: ModalSet, mirror_port: str) -> St
     plant = plant_state_space(loop, modes, mirror_port)
     pid = loop.controller
     n = plant.a.shape[0]
-    filtered = pid.rolloff_time > 0 and pid.kd != 0
-    integrating = pid.ki != 0
-    size = n + integrating + filtered
-    xi, w = n, n + integrating
+    lagging = pid.lag > 0 and pid.kd != 0
+    anti_alias, on_error = filter_state_space(pid.path.anti_alias), filter_state_space(pid.path.on_error)
+    places = np.cumsum([0, n, anti_alias.order, on_error.order, int(pid.ki != 0), int(lagging)])
+    size = int(places[-1])
+    _, xa, xe, xi, w = (slice(int(i), int(j)) for i, j in pairwise(places))
+    # Signals as rows over [states, measured, command, and the rates of these two].
+    signals = np.eye(size + 4)
+    measured, command, measured_rate, command_rate = signals[size:]
 
-    def padded(vector: Array) -> Array:
-        return np.append(vector, np.zeros(size - n))
+    def of_plant(row: Array) -> Array:
+        return np.append(row, np.zeros(size + 4 - n))
 
-    torque = pid.gain * padded(plant.b[:, 0])
-    rows: Iterator[Array] = (padded(row) for row in plant.c[:4])
-    mirror, _, angle, rate = rows
+    def passed(part: FilterStates, states: slice, value: Array, rate: Array) -> tuple[Array, Array, Array]:
+        """Rates of a filter's states, its output and the rate of that."""
+        moved = part.a @ signals[states] + np.outer(part.b, value)
+        return moved, part.c @ signals[states] + part.d * value, part.c @ moved + part.d * rate
 
-    a = np.zeros((size, size))
-    a[:n, :n] = plant.a
-    proportional = pid.kp + (pid.kd / pid.rolloff_time if filtered else 0.0)
-    # The error is −(θ + u): u is noise or line-of-sight displacement, and −u the command.
-    a -= proportional * np.outer(torque, angle)
-    measured, derivative = -proportional * torque, np.zeros(size)
-    if integrating:
-        a[:, xi] += pid.ki * torque
-        a[xi] -= angle
-        measured[xi] -= 1.0
-    if filtered:
-        a[:, w] -= pid.kd / pid.rolloff_time * torque
-        a[w] -= angle / pid.rolloff_time
-        a[w, w] -= 1 / pid.rolloff_time
-        measured[w] -= 1 / pid.rolloff_time
+    mirror, _, angle, turning = (of_plant(row) for row in plant.c[:4])
+    moved, seen, seeing = passed(anti_alias, xa, angle + measured, turning + measured_rate)
+    rows = np.zeros((size, size + 4))
+    rows[xa] = moved
+    rows[xe], error, erring = passed(on_error, xe, command - seen, command_rate - seeing)
+    torque = pid.kp * error
+    if pid.ki != 0:
+        torque += pid.ki * signals[xi][0]
+        rows[xi] = error
+    if lagging:
+        rate = (error - signals[w][0]) / pid.lag
+        torque += pid.kd * rate
+        rows[w] = rate
     else:
-        a -= pid.kd * np.outer(torque, rate)
-        derivative = -pid.kd * torque
-    column = measured + a @ derivative
+        torque += pid.kd * erring
+    rows[:n, :n] += plant.a
+    rows[:n] += pid.gain * np.outer(plant.b[:, 0], torque)
+    a, direct, derivative = rows[:, :size], rows[:, size : size + 2], rows[:, size + 2 :]
+    column = direct + a @ derivative
     external = np.zeros((size, 2))
     external[:n] = plant.b[:, 1:3]
-    b = np.column_stack([external, column, column, -column])
-    c = np.vstack([mirror, mirror])
+    b = np.column_stack([external, column[:, 0], column[:, 0], column[:, 1]])
+    c = np.vstack([mirror[:size], mirror[:size]])
     d = np.zeros((2, 5))
     d[1, INPUTS.index("line_of_sight")] = 1.0
     return StateSpace(a, b, c, d, INPUTS, OUTPUTS)

@@ -28,6 +28,8 @@ TOLERANCE = 1e-9
 """Relative accuracy of a boundary [-]."""
 _SAMPLES = 41
 _TURNS = 40  # evaluations to find where a pole turns
+_HOPE = 0.05  # least share of its distance from the axis by which a pole has to come closer for the search to go on
+_GOLDEN = 0.381966
 # A pole may turn this many times its change between samples beyond the sample closest to the turn.
 _REACH = 4.0
 
@@ -191,7 +193,9 @@ class _Search:
                 float(np.sign(start) * sample.poles.value.real[k]) if sample.follows(middle) else abs(start)
             )
 
-        return self.at(_least(distance, left.at, right.at), middle.poles)
+        ends = (abs(float(each.poles.value.real[k])) for each in (left, right))
+        places = ((each.at, d) for each, d in zip((left, right), ends, strict=True))
+        return self.at(_crossing(distance, (middle.at, abs(start)), *places), middle.poles)
 
     def handovers(self, samples: Sequence[_Sample]) -> Iterator[_Sample]:
         """Samples where one growing pole calms down before another one starts to grow."""
@@ -199,7 +203,20 @@ class _Search:
             if left.stable or right.stable or not left.follows(right):
                 continue
             if not np.any((left.poles.value.real > 0) & (right.poles.value.real > 0)):
-                yield self.at(_least(self.abscissa(left.poles), left.at, right.at), left.poles)
+                yield self._handover(left, right)
+
+    def _handover(self, left: _Sample, right: _Sample) -> _Sample:
+        """Where the poles that grow on the left are as close to the axis as those that grow on the right."""
+        falling, rising = (each.poles.value.real > 0 for each in (left, right))
+
+        def lead(u: float) -> float:
+            sample = self.at(u, left.poles)
+            real = sample.poles.value.real
+            # Where a pair has become two real poles, its own place is as good as any.
+            return float(real[falling].max() - real[rising].max()) if sample.follows(left) else 0.0
+
+        width = right.at - left.at
+        return self.at(optimize.brentq(lead, left.at, right.at, xtol=1e-6 * width, rtol=1e-14), left.poles)
 
     def abscissa(self, near: ClosedLoopPoles) -> Callable[[float], float]:
         """The spectral abscissa along the path, its poles found from those of a neighbor."""
@@ -221,9 +238,47 @@ def _turning(left: Any, middle: Any, right: Any) -> Iterator[np.intp]:
     yield from np.flatnonzero(same & near & (before > 0) & (after > 0))
 
 
-def _least(f: Callable[[float], float], low: float, high: float) -> float:
-    """Where a function with one valley has its least value."""
-    found = optimize.minimize_scalar(
-        f, bounds=(low, high), method="bounded", options={"maxiter": _TURNS, "xatol": 1e-6 * (high - low)}
-    )
-    return float(found.x)
+def _crossing(
+    f: Callable[[float], float],
+    lowest: tuple[float, float],
+    left: tuple[float, float],
+    right: tuple[float, float],
+) -> float:
+    """Where a function with one valley falls below zero, or its lowest place as soon as it is plain that it does not.
+
+    Successive parabolas through the three lowest known places; the golden section where they do not shorten the range.
+
+    Parameters
+    ----------
+    lowest, left, right
+        Place and value within the range and at its ends, of which the first is not the highest.
+    """
+    shortest = 1e-6 * (right[0] - left[0])
+    for _ in range(_TURNS):
+        if lowest[1] < 0 or right[0] - left[0] <= shortest:
+            break
+        u, value = _vertex(left, lowest, right)
+        if lowest[1] - value < _HOPE * lowest[1]:
+            break
+        if abs(u - lowest[0]) < 0.5 * shortest:
+            wide = right[0] if right[0] - lowest[0] > lowest[0] - left[0] else left[0]
+            u = lowest[0] + _GOLDEN * (wide - lowest[0])
+        found = u, f(u)
+        inner, outer = (found, lowest) if found[1] < lowest[1] else (lowest, found)
+        if outer[0] < inner[0]:
+            left = outer
+        else:
+            right = outer
+        lowest = inner
+    return lowest[0]
+
+
+def _vertex(
+    left: tuple[float, float], middle: tuple[float, float], right: tuple[float, float]
+) -> tuple[float, float]:
+    """Lowest place of the parabola through three places, of which the middle one is lowest, and its value there."""
+    a, b = middle[0] - left[0], right[0] - middle[0]
+    slope_a, slope_b = (left[1] - middle[1]) / a, (right[1] - middle[1]) / b
+    curvature = (slope_a + slope_b) / (a + b)
+    slope = (slope_b * a - slope_a * b) / (a + b)
+    return middle[0] - slope / (2 * curvature), middle[1] - slope**2 / (4 * curvature)

@@ -11,6 +11,7 @@ from scipy import signal
 
 from fosopt.control import NUMERATORS, Loop
 from fosopt.errors import ModelError, did_you_mean
+from fosopt.metrics.tabulated import Interpolation, check_interpolation, density_between, table_cuts
 from fosopt.ops import Array, ComplexArray
 
 # Poles of a shaping filter closer than this (relative) are treated as repeated: roots of multiplicity four come
@@ -89,9 +90,11 @@ class Disturbance:
     at
         Where it enters: a key of `control.NUMERATORS`.
     frequency, psd
-        (m,) one-sided power spectral density, linear between rows, zero outside [rad/s], [unit²/Hz].
+        (m,) one-sided power spectral density, zero outside [rad/s], [unit²/Hz].
     band
         Frequencies counted [rad/s].
+    interpolation
+        Of a table between its rows.
     """
 
     name: str
@@ -100,6 +103,7 @@ class Disturbance:
     frequency: Array | None = None
     psd: Array | None = None
     band: tuple[float, float] = (0.0, inf)
+    interpolation: Interpolation = "linear"
 
     def __post_init__(self) -> None:
         if self.at not in NUMERATORS:
@@ -124,6 +128,7 @@ class Disturbance:
                 raise ModelError(
                     f"disturbance '{self.name}': a density is negative or not finite; correct the table"
                 )
+            check_interpolation(self.frequency, self.psd, self.interpolation)
         low, high = self.band
         if not 0 <= low < high:
             raise ModelError(
@@ -149,7 +154,12 @@ class Disturbance:
         if self.filter is not None:
             return 2 * np.abs(self.filter.response(1j * frequency)) ** 2
         assert self.frequency is not None and self.psd is not None
-        return np.interp(frequency, self.frequency, self.psd, left=0.0, right=0.0)
+        return density_between(frequency, self.frequency, self.psd, self.interpolation)
+
+    @property
+    def cuts(self) -> Array:
+        """(k,) Frequencies of a table between which its density is smooth; none of a filter [rad/s]."""
+        return np.zeros(0) if self.frequency is None else table_cuts(self.frequency, self.interpolation)
 
 
 def low_pass(corner: float, rms: float, order: int = 1) -> ShapingFilter:
@@ -204,7 +214,7 @@ def refuse_infinite_variance(disturbance: Disturbance, loop: Loop, drifting: boo
         if pushing:
             raise ModelError(drift)
         return
-    derivative = pid.kd != 0 and pid.rolloff_time == 0
+    derivative = pid.kd != 0 and pid.lag == 0
     degree = {
         "mirror_torque": 2,
         "hub_torque": 3,

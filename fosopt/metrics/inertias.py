@@ -5,7 +5,8 @@ Differentials are coefficients of dK and dM in the modal frame, ⟨stiffness, dK
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,7 +19,7 @@ from fosopt.plant import CoupledModes, secular_slope
 
 @dataclass(frozen=True)
 class ModalFunctional:
-    """The differential of a modal metric, ⟨stiffness, dK⟩ + ⟨mass, dM⟩ + inertia dJ_m + frequency dω_m.
+    """The differential of a modal metric, ⟨stiffness, dK⟩ + ⟨mass, dM⟩ + ⟨motion, dφ⟩ + inertia dJ_m + frequency dω_m.
 
     Attributes
     ----------
@@ -26,12 +27,15 @@ class ModalFunctional:
         (n, n) in the basis of the modal frame.
     mirror_inertia, mirror_frequency
         Partial derivatives.
+    motion
+        (n,) of the shapes at each port, which a truncated frame needs, see `ModalFrame.contract`.
     """
 
     stiffness: Array
     mass: Array
     mirror_inertia: float = 0.0
     mirror_frequency: float = 0.0
+    motion: Mapping[str, Array] = field(default_factory=dict)
 
 
 def mirror_inertia_from_modes(mirror_shape: Array) -> float:
@@ -99,11 +103,13 @@ def modal_inertia_functional(frame: ModalFrame, modes: ModalSet, port: str, mode
     """
     motion = modes.at(port)
     n = motion.size
-    others = np.delete(np.arange(n), mode)
+    others = np.delete(np.arange(frame.n_exact), mode)
     stiffness, mass = _turning(frame, mode, others, motion, n)
     mass[mode, mode] = -0.5 * motion[mode]
     factor = -2 / motion[mode] ** 3
-    return ModalFunctional(factor * stiffness, factor * mass)
+    own = np.zeros(n)
+    own[mode] = factor
+    return ModalFunctional(factor * stiffness, factor * mass, motion={port: own})
 
 
 def coupled_functionals(
@@ -111,8 +117,8 @@ def coupled_functionals(
 ) -> dict[str, ModalFunctional]:
     """Differentials of ω_k² and J̄_k of a coupled mode, by implicit differentiation of the secular equation.
 
-    No difference of uncoupled eigenvalues appears. Assumes all modes are kept, and that the mode is moved by
-    the mirror.
+    No difference of uncoupled eigenvalues appears. Assumes the modes are those of the whole frame, and that the mode is
+    moved by the mirror.
 
     Returns
     -------
@@ -140,9 +146,11 @@ def coupled_functionals(
     g_k, g_m = -outer, lam * outer - hub * outer
     g1_k = -2 * outer_slope
     g1_m = 2 * lam * outer_slope + outer - 2 * hub * outer_slope
-    # Partial derivatives of F for J_m and ω_m, with k = J_m ω_m².
+    # The same for the motions of the port, and
+    g_u, g1_u = 2 * psi, 2 * psi_slope
+    # partial derivatives of F for J_m and ω_m, with k = J_m ω_m².
     f_j, f_w = -lam * w**2 * g, 2 * w * (1 - lam * mirror.inertia * g)
-    lam_k, lam_m = lam * k * g_k / slope, lam * k * g_m / slope
+    lam_k, lam_m, lam_u = lam * k * g_k / slope, lam * k * g_m / slope, lam * k * g_u / slope
     lam_j, lam_w = -f_j / slope, -f_w / slope
     factor = 1 / slope**2
 
@@ -151,11 +159,12 @@ def coupled_functionals(
 
     direct = -(g + lam * g1)
     return {
-        "eigenvalue": ModalFunctional(lam_k, lam_m, float(lam_j), float(lam_w)),
+        "eigenvalue": ModalFunctional(lam_k, lam_m, float(lam_j), float(lam_w), {port: lam_u}),
         "effective_modal_reaction_inertia": ModalFunctional(
             np.asarray(total(lam_k, g_k, g1_k)),
             np.asarray(total(lam_m, g_m, g1_m)),
             float(factor * (curvature * lam_j + w**2 * direct)),
             float(factor * (curvature * lam_w + 2 * w * mirror.inertia * direct)),
+            {port: np.asarray(total(lam_u, g_u, g1_u))},
         ),
     }

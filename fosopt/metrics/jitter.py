@@ -20,6 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fosopt.control import (
+    COMMANDED,
     NUMERATORS,
     ClosedLoopPoles,
     Loop,
@@ -91,7 +92,8 @@ def pole_residues(model: LoopModel, poles: ClosedLoopPoles, response: str) -> Co
     g = poles.receptances()
     slope = characteristic(model.loop, Dual(poles.value, 1.0), g).slope
     at_poles = Receptances.of([pair.value for pair in g.values])
-    return NUMERATORS[response](model.loop, poles.value, at_poles) / slope
+    numerator = COMMANDED[response] if response in COMMANDED else NUMERATORS[response]
+    return numerator(model.loop, poles.value, at_poles) / slope
 
 
 def _by_residues(
@@ -157,7 +159,7 @@ def _by_quadrature(
     model: LoopModel, poles: ClosedLoopPoles, disturbance: Disturbance, shift: float
 ) -> Variance:
     low, high = disturbance.counted
-    cuts = disturbance.frequency if disturbance.frequency is not None else np.zeros(0)
+    cuts = disturbance.cuts
     own = disturbance.filter.poles if disturbance.filter is not None else np.zeros(0, complex)
     if poles.open_loop.drifting and low > 0:
         # A free rigid body's drift falls as a power of the frequency, from the lower edge on: panels of a decade each.

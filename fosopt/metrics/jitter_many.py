@@ -2,77 +2,92 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 
 import numpy as np
+from numpy.typing import NDArray
 
 from fosopt.control import ClosedLoopPoles, Loop, Receptances, characteristic
-from fosopt.control.many import loops_together
+from fosopt.control.loop import attach
+from fosopt.control.many import hung, loops_together, sums
+from fosopt.control.open_loop import OpenLoopPoles, moving_pairs
 from fosopt.metrics.disturbances import Disturbance, refuse_infinite_variance
 from fosopt.metrics.jitter import apart, poles_of_filters, residue_terms
-from fosopt.modes import ModalSet
 from fosopt.ops import Array, ComplexArray, Dual
-from fosopt.plant.sums import modal_sums
 
 
 def many_jitter_variances(
-    loops: Sequence[Loop],
-    poles: Sequence[ClosedLoopPoles],
-    modes: ModalSet,
-    mirror_port: str,
-    disturbances: Sequence[Disturbance],
+    loops: Sequence[Loop], poles: Sequence[ClosedLoopPoles], disturbances: Sequence[Disturbance]
 ) -> Array:
     """(l, d) Mean square line-of-sight error of each loop under each disturbance [rad²].
 
-    Not a number for what has to be found alone: an unstable loop, a spectrum without residues, or loops that are no
-    bicollocated mirrors without attachments.
+    Not a number for what has to be found alone: an unstable loop, a spectrum without residues, or loops of different
+    forms.
 
     Parameters
     ----------
     poles
-        Of each loop, with the same open-loop poles.
+        Of each loop, as `control.many.many_closed_loop_poles` gives them.
     """
     found = np.full((len(loops), len(disturbances)), np.nan)
-    alike = [p.open_loop is poles[0].open_loop and p.value.size == poles[0].value.size for p in poles]
-    stable = [
-        i for i, (p, same) in enumerate(zip(poles, alike, strict=True)) if same and p.spectral_abscissa < 0
-    ]
-    together = loops_together([loops[i] for i in stable]) if stable else None
     rational = [k for k, d in enumerate(disturbances) if d.by_residues]
-    if together is None or not rational:
+    if loops_together(loops) is None or not rational:
         return found
-    open_loop = poles[0].open_loop
-    for k in rational:
-        refuse_infinite_variance(disturbances[k], loops[stable[0]], open_loop.drifting)
     chosen = [disturbances[k] for k in rational]
-    base, shift = (np.array([getattr(poles[i], name) for i in stable]) for name in ("base", "shift"))
+    for group in _alike(poles):
+        for disturbance in chosen:
+            refuse_infinite_variance(disturbance, loops[group[0]], poles[group[0]].open_loop.drifting)
+        found[np.ix_(group, np.array(rational))] = _variances(
+            [loops[i] for i in group], [poles[i] for i in group], chosen
+        )
+    return found
+
+
+def _alike(poles: Sequence[ClosedLoopPoles]) -> Iterator[NDArray[np.intp]]:
+    """Stable loops with equally many pairs and real poles of one and the same structure."""
+    groups: dict[tuple[int, ...], list[int]] = {}
+    for i, each in enumerate(poles):
+        if each.spectral_abscissa < 0:
+            kind = id(each.open_loop.first), each.value.size, len(each.open_loop.hung)
+            groups.setdefault(kind, []).append(i)
+    for members in groups.values():
+        yield np.array(members)
+
+
+def _variances(
+    loops: Sequence[Loop], poles: Sequence[ClosedLoopPoles], disturbances: Sequence[Disturbance]
+) -> Array:
+    """(l, d) The same for stable loops of one form and rational spectra."""
+    together = loops_together(loops)
+    assert together is not None
+    open_loop = poles[0].open_loop
+    base, shift = (np.array([getattr(each, name) for each in poles]) for name in ("base", "shift"))
     value = base + shift
-    at_poles, slopes = _receptances(open_loop.first, open_loop.second, open_loop.constant, base, shift)
+    at_poles, slopes = _receptances(together, open_loop, base, shift)
     slope = characteristic(together, Dual(value, 1.0), slopes).slope
-    # Away from its poles the structure is the sum of all its modes, those the loop does not move included.
-    half = 0.5 * modes.damping
-    root = np.sqrt((half**2 - modes.stiffness).astype(complex))
-    port = modes.at(mirror_port)
-    structure = -half + root, -half - root, np.column_stack([port**2, port * modes.at("hub")])
-    filters = poles_of_filters(chosen)
-    mirrored = -np.concatenate([value, np.broadcast_to(filters, (len(stable), filters.size))], axis=1)
-    at_filters, _ = _receptances(*structure, filters[None], np.zeros((1, filters.size), dtype=complex))
-    at_mirrored, _ = _receptances(*structure, mirrored, np.zeros_like(mirrored))
-    multiplicity = np.array([poles[i].multiplicity for i in stable])
-    places = (value, at_poles), (filters[None], at_filters), (mirrored, at_mirrored)
-    terms = residue_terms(together, chosen, multiplicity / slope, *places)
-    for k, disturbance, (weight, response) in zip(rational, chosen, terms, strict=True):
+    filters = np.broadcast_to(
+        poles_of_filters(disturbances), (len(loops), poles_of_filters(disturbances).size)
+    )
+    mirrored = -np.concatenate([value, filters], axis=1)
+    at_filters, _ = _receptances(together, open_loop, filters, np.zeros_like(filters))
+    at_mirrored, _ = _receptances(together, open_loop, mirrored, np.zeros_like(mirrored))
+    multiplicity = np.array([each.multiplicity for each in poles])
+    places = (value, at_poles), (filters, at_filters), (mirrored, at_mirrored)
+    found = np.full((len(loops), len(disturbances)), np.nan)
+    terms = residue_terms(together, disturbances, multiplicity / slope, *places)
+    for k, (disturbance, (weight, response)) in enumerate(zip(disturbances, terms, strict=True)):
         variance = np.sum(weight * response, axis=1).real
-        found[stable, k] = np.where(apart(value, disturbance), variance, np.nan)
+        found[:, k] = np.where(apart(value, disturbance), variance, np.nan)
     return found
 
 
 def _receptances(
-    first: ComplexArray, second: ComplexArray, constant: Array, base: ComplexArray, shift: ComplexArray
+    loops: Loop, open_loop: OpenLoopPoles, base: ComplexArray, shift: ComplexArray
 ) -> tuple[Receptances, Receptances]:
-    """Receptances of (l, m) points, bare and with their derivatives."""
-    pairs = np.ascontiguousarray(constant[:, :2])
-    value, slope, _ = modal_sums(first, second, pairs, base.ravel(), shift.ravel())
-    value, slope = value.reshape(-1, *base.shape), slope.reshape(-1, *base.shape)
-    duals = [Dual(v, d) for v, d in zip(value, slope, strict=True)]
-    return Receptances(value[0], value[1]), Receptances(duals[0], duals[1])
+    """Receptances of (l, m) points, bare and with their derivatives; those no formula asks for are zero."""
+    pairs = moving_pairs(loops, hub=True)
+    g, _ = sums(open_loop, base, shift, pairs, len(loops.pairs))
+    for port, body in hung(loops, open_loop):
+        g = attach(Dual(base + shift, 1.0), g, port, body, [loops.pairs[k] for k in pairs])
+    values = [each.value if isinstance(each, Dual) else each for each in g.values]
+    return Receptances.of(values), g

@@ -22,7 +22,7 @@ def referred_to_sensor(torque: ShapingFilter, controller: PID) -> ShapingFilter:
     ModelError
         If the controller has no integral action: its inverse would not be proper, or no filter at all.
     """
-    if controller.rolloff_time or not controller.ki or not controller.kd:
+    if controller.rolloff_time or not controller.ki or not controller.kd or controller.path.sections:
         raise ModelError(
             "torque noise referred to the sensor: needs a controller with integral and unfiltered derivative action"
         )

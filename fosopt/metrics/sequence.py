@@ -103,7 +103,11 @@ def transients(model: LoopModel, poles: ClosedLoopPoles, retargeting: Retargetin
 
     The loop is linear, so what an engagement starts with is its own step plus all that earlier ones left.
     """
-    after = step_error(model, poles)
+    return repeated(step_error(model, poles), retargeting)
+
+
+def repeated(after: Transient, retargeting: Retargeting) -> tuple[Transient, ...]:
+    """What each engagement begins with, from what follows a unit step."""
     amplitude = np.zeros_like(after.pole)
     found = []
     levels, since = np.cumsum(retargeting.step), np.diff(retargeting.start, prepend=0.0)

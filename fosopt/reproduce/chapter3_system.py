@@ -11,6 +11,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cache, cached_property
+from typing import Any
 
 import numpy as np
 
@@ -152,7 +153,7 @@ class Case:
 
 
 def _case(name: str, structure_hz: float, modes: ModalSet, mirror: Mirror = MIRROR) -> Case:
-    terms = {key: float(GIVEN["pid"][key]) for key in ("gain", "kp", "ki", "kd")}
+    terms: dict[str, Any] = {key: float(GIVEN["pid"][key]) for key in ("gain", "kp", "ki", "kd")}
     model = LoopModel(Loop(mirror, PID(**terms)), modes, "tip")
     return Case(name, structure_hz, model, closed_loop_poles(model.loop, modes, "tip"))
 

@@ -9,7 +9,7 @@ from collections.abc import Mapping
 from dataclasses import replace
 from functools import cache
 from types import MappingProxyType
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -97,7 +97,7 @@ def mirror(percent: float) -> Mirror:
 def loop(percent: float) -> Loop:
     """The loop designed on a rigid support: its gain gives the crossover there."""
     body, terms = mirror(percent), PUBLISHED["benchmark"]["pid"]
-    pid = {name: float(terms[name]) for name in ("kp", "ki", "kd")}
+    pid: dict[str, Any] = {name: float(terms[name]) for name in ("kp", "ki", "kd")}
     return Loop(
         body, PID(gain_for_crossover(CHAPTER["crossover_hz"] * HZ, body, rolloff_time=0.0, **pid), **pid)
     )

@@ -1,0 +1,255 @@
+"""What a sampled loop is judged by: stability, margins, and jitter between samples as well as at them.
+
+The disturbances are stationary, the loop repeats itself with the sampling period; its jitter is the root of the mean
+square over time, E ∫ y² dt/T. White noise at the time s before a sample leaves the energy R(s) until that sample and
+Φ(s)ᵀ Y Φ(s) after it, with Y the energy that a state at a sample leaves for ever:
+
+    J = bᵀ [∫_0^T (R(s) + Φ(s)ᵀ Y Φ(s)) ds] b/T,    Y = Mᵀ Y M + E.    [Chen1995] Ch. 12
+
+Spectra over a band go by frequency: an input at ω leaves at ω + nω_s all that the hold makes of one sequence of
+samples, whose power between samples is a quadratic form again.    [Araki1996]
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from math import inf, pi
+
+import numpy as np
+from scipy import linalg, optimize
+
+from fosopt.control import Loop
+from fosopt.control.filter_states import PASSING, rational_states
+from fosopt.control.phase import resonance_grid
+from fosopt.control.sampled import SampledLoop, Source, energy_for_ever, sampled_loop, solutions, span
+from fosopt.errors import SolverError, UnstableError
+from fosopt.metrics.disturbances import Disturbance
+from fosopt.metrics.jitter import resonance_quadrature
+from fosopt.modes import ModalSet
+from fosopt.ops import Array, ComplexArray
+
+_GRID = 240
+_DEEPEST = 3  # local minima of |1 + L| that are looked at closely
+# Poles in z this small are over within a sample and shape no spectrum.
+_GONE = 1e-6
+
+
+@dataclass(frozen=True)
+class SampledModel:
+    """A sampled loop on a modal set with its disturbances."""
+
+    loop: Loop
+    modes: ModalSet
+    mirror_port: str
+    disturbances: tuple[Disturbance, ...] = ()
+
+    @cached_property
+    def bare(self) -> SampledLoop:
+        """The loop without disturbances."""
+        return sampled_loop(self.loop, self.modes, self.mirror_port)
+
+    @property
+    def spectral_abscissa(self) -> float:
+        """ln|z|/T of the outermost pole, negative for a stable loop [rad/s]."""
+        return self.bare.spectral_abscissa
+
+    @property
+    def stable(self) -> bool:
+        """Whether all poles lie within the unit circle."""
+        return self.spectral_abscissa < 0
+
+    @cached_property
+    def variances(self) -> dict[str, float]:
+        """Mean square line-of-sight error by the name of its disturbance, averaged over time [rad²].
+
+        Raises
+        ------
+        UnstableError
+            If the loop is unstable: it has no jitter.
+        ModelError
+            If a variance is infinite.
+        """
+        if not self.stable:
+            raise UnstableError(
+                f"sampled loop is unstable: a pole has ln|z|/T = {self.spectral_abscissa:.6g} rad/s"
+            )
+        whole = [d for d in self.disturbances if d.filter is not None and d.band[1] == inf]
+        found = dict(zip((d.name for d in whole), self._over_all(whole), strict=True))
+        values = {}
+        for d in self.disturbances:
+            low, high = d.counted
+            if d.name not in found:
+                values[d.name] = self.over_band(d, low, high)
+            else:
+                below = self.over_band(d, 0.0, low) if low > 0 else 0.0
+                values[d.name] = found[d.name] - below
+        return values
+
+    def _over_all(self, disturbances: Sequence[Disturbance]) -> list[float]:
+        """Mean squares of rational spectra over all frequencies, all from one energy of the loop."""
+        if not disturbances:
+            return []
+        shapes = [d.filter for d in disturbances]
+        sources = [
+            Source(d.at, rational_states(s.numerator, s.denominator))
+            for d, s in zip(disturbances, shapes, strict=True)
+            if s is not None
+        ]
+        return averaged_variances(sampled_loop(self.loop, self.modes, self.mirror_port, sources))
+
+    def over_band(self, disturbance: Disturbance, low: float, high: float) -> float:
+        """Mean square over a finite band of a disturbance's frequencies, by quadrature [rad²].
+
+        Parameters
+        ----------
+        low, high
+            [rad/s].
+        """
+        sampled = self.bare
+        rate = 2 * pi / sampled.period
+        z = sampled.poles[np.abs(sampled.poles) > _GONE]
+        slow = np.log(z) / sampled.period
+        aliases = np.arange(-1, int(np.ceil(high / rate)) + 2)
+        images = (slow[:, None] + 1j * rate * aliases).ravel()
+        images = images[(images.imag >= 0) & (images.imag <= 1.5 * high + rate)]
+        own = disturbance.filter.poles if disturbance.filter is not None else np.zeros(0, complex)
+        cuts = disturbance.cuts
+        poles = np.concatenate([images, images.conj(), linalg.eigvals(sampled.a), own])
+        nodes, weights = resonance_quadrature(poles, low, high, cuts)
+        density = weights / (2 * pi) * disturbance.one_sided_psd(nodes)
+        return float(np.sum(density * self.power(disturbance.at, nodes)))
+
+    def power(self, at: str, frequency: Array) -> Array:
+        """(m,) Mean square of the line of sight over time per mean square of an input at one frequency [rad/s].
+
+        [Araki1996]
+        """
+        sampled = self.bare
+        s = 1j * frequency
+        period = sampled.period
+        direct, measured, acting = self._open_loop(at, s)
+        z = np.exp(s * period)
+        states, first, second = _steady(sampled, z)
+        controller = sampled.controller.response(z)
+        fed = controller / (1 + sampled.measured @ states[: sampled.torque.size] * controller) * measured
+        delay = sampled.whole * period + sampled.rest
+        hold = np.where(s == 0, 1.0, -np.expm1(-s * period) / np.where(s == 0, 1.0, s * period))
+        through = acting * hold * np.exp(-s * delay)
+        power = (
+            _quadratic(first, sampled.spans[0].energy) + _quadratic(second, sampled.spans[1].energy)
+        ) / period
+        mixed = 2 * np.real(direct.conj() * fed * through)
+        whole: Array = np.abs(direct) ** 2 - mixed + np.abs(fed) ** 2 * power
+        return whole
+
+    def _open_loop(self, at: str, s: ComplexArray) -> tuple[ComplexArray, ComplexArray, ComplexArray]:
+        """Line of sight and measurement per input, and line of sight per torque, without feedback."""
+        torque = at in ("mirror_torque", "hub_torque")
+        sampled = sampled_loop(
+            self.loop, self.modes, self.mirror_port, [Source(at, PASSING)] if torque else []
+        )
+        upper, turn = linalg.schur(sampled.a, output="complex")
+        columns = turn.conj().T @ np.column_stack([sampled.torque, *sampled.noise])
+        rows = np.array([sampled.line_of_sight, sampled.measured]) @ turn
+        answers = rows @ solutions(upper, columns, s)
+        acting = answers[:, 0, 0]
+        if torque:
+            return answers[:, 0, 1], answers[:, 1, 1], acting
+        seen: ComplexArray = np.ones_like(s)
+        for section in self.loop.controller.path.anti_alias:
+            seen = seen * section.response(s)
+        return np.full_like(s, float(at == "line_of_sight")), seen, acting
+
+    @cached_property
+    def _grid(self) -> Array:
+        """(m,) Frequencies below the Nyquist frequency that resolve every resonance [rad/s]."""
+        period = self.bare.period
+        z = np.concatenate([self.bare.poles, linalg.eigvals(self.bare.plant[0])])
+        roots = np.log(z[np.abs(z) > _GONE]) / period
+        top = pi / period
+        inside = roots[(roots.imag >= 0) & (roots.imag < top)]
+        size = np.abs(inside)
+        low = 0.1 * float(size[size > 0].min(initial=top))
+        return resonance_grid(inside, min(low, 1e-3 * top), top, _GRID)
+
+    def _distance(self, frequency: Array) -> Array:
+        z = np.exp(1j * frequency * self.bare.period)
+        return np.abs(1 + self.bare.loop_transfer(z))
+
+    @cached_property
+    def modulus_margin(self) -> float:
+        """Least |1 + L(e^{jωT})|, the reciprocal of the peak of the sampled sensitivity; at most one.
+
+        [Astrom1997] Ch. 3
+        """
+        grid = self._grid
+        distance = self._distance(grid)
+        inner = np.flatnonzero((distance[1:-1] <= distance[:-2]) & (distance[1:-1] <= distance[2:])) + 1
+        deepest = inner[np.argsort(distance[inner], kind="stable")[:_DEEPEST]]
+        found = [float(distance.min()), 1.0]
+        for k in deepest:
+            best = optimize.minimize_scalar(
+                lambda w: float(self._distance(np.array([w]))[0]),
+                bounds=(grid[k - 1], grid[k + 1]),
+                method="bounded",
+                options={"xatol": 1e-9 * grid[k]},
+            )
+            found.append(float(best.fun))
+        return min(found)
+
+    @cached_property
+    def loop_crossover(self) -> float:
+        """Highest frequency below Nyquist at which |L| is one [rad/s].
+
+        Raises
+        ------
+        SolverError
+            If there is none.
+        """
+
+        def excess(frequency: float) -> float:
+            z = np.exp(1j * np.array([frequency]) * self.bare.period)
+            return float(np.log(np.abs(self.bare.loop_transfer(z)[0])))
+
+        grid = self._grid
+        above = np.abs(self.bare.loop_transfer(np.exp(1j * grid * self.bare.period))) >= 1
+        if not above.any() or above[-1]:
+            where = "above" if above.any() else "below"
+            raise SolverError(f"sampled loop: the loop gain stays {where} one up to the Nyquist frequency")
+        last = int(np.flatnonzero(above)[-1])
+        return float(optimize.brentq(excess, grid[last], grid[last + 1], rtol=1e-12))
+
+
+def averaged_variances(sampled: SampledLoop) -> list[float]:
+    """Mean square of the line of sight over time by each source of a stable sampled loop [rad²].
+
+    [Chen1995] Ch. 12
+    """
+    n, period = sampled.torque.size, sampled.period
+    later = energy_for_ever(sampled.transition, sampled.energy)[:, :n]
+    before = span(sampled.a, sampled.line_of_sight[None], period, grown=True).grown
+    after = span(sampled.a, later, period).energy
+    return [float(np.sum((before @ b) ** 2) + np.sum((after @ b) ** 2)) / period for b in sampled.noise]
+
+
+def _steady(sampled: SampledLoop, z: ComplexArray) -> tuple[ComplexArray, ComplexArray, ComplexArray]:
+    """Plant states under torques z^k, and states with held torque as the two parts of a period begin."""
+    moved, column, _ = sampled.plant
+    upper, turn = linalg.schur(moved, output="complex")
+    column = turn.conj().T @ column
+    states = turn @ solutions(upper, column[:, None], z)[:, :, 0].T
+    n = sampled.torque.size
+    torques = [np.ones_like(z), *states[n:]]
+    after = torques[sampled.whole]
+    before = torques[sampled.whole + 1] if sampled.rest > 0 else after
+    first: ComplexArray = np.vstack([states[:n], before])
+    second: ComplexArray = np.vstack([(sampled.spans[0].carried @ first)[:n], after])
+    return states, first, second
+
+
+def _quadratic(states: ComplexArray, energy: Array) -> Array:
+    """(m,) |F x|² of each column."""
+    value: Array = np.sum(np.abs(energy @ states) ** 2, axis=0)
+    return value
