@@ -10,27 +10,27 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from itertools import product
-from math import inf, isfinite
+from math import inf, isfinite, isinf
 
 import numpy as np
 
 from fosopt.control import PID
 from fosopt.errors import FosoptError, SolverError
-from fosopt.expressions import parse_expression
 from fosopt.ops import Array
 from fosopt.problem import Constraint, Evaluation, Problem
 from fosopt.relax.bound import Bound
 from fosopt.relax.performance_limit import performance_limit
 from fosopt.relax.pid_bound import best_pid
 from fosopt.relax.pid_box import PidBox
+from fosopt.relax.structural import own_receptance, own_requirements
 from fosopt.relax.structure_floor import structure_floor
 
 _STRUCTURE = ("area", "batten_mass", "spring_stiffness")
 _CONTROLLER = ("gain", "crossover", "kp", "ki", "kd")
+# Degrees of freedom up to which a bound on the structure takes seconds to minutes.
+_PROVABLE = 1000
 # The proof computed again may differ from the first time by its rounding.
 _AGAIN = 1e-9
-# What a design's own frequency is relaxed by, so that the design itself meets it.
-_OWN = 1e-9
 
 
 @dataclass(frozen=True)
@@ -40,7 +40,7 @@ class PidSearch:
     Attributes
     ----------
     time_limit
-        Of each design [s].
+        Processor time for each design [s].
     gap
         To stop at [-].
     """
@@ -56,9 +56,10 @@ class Entry:
     Attributes
     ----------
     name
-        ``mass_lower_bound``, ``mass_lower_bound_same_frequency``, ``jitter_bound_pid`` or ``jitter_bound_any``.
+        ``mass_lower_bound``, ``mass_lower_bound_same_frequency``, ``mass_lower_bound_same_receptance``,
+        ``jitter_bound_pid`` or ``jitter_bound_any``.
     value
-        The bound [kg] or [rad], None where there is none.
+        The bound [kg] or [rad], None where there is none, infinite where nothing meets what it is a bound under.
     reached
         What the design has.
     of, assumptions, allowance
@@ -78,7 +79,9 @@ class Entry:
     @property
     def gap(self) -> float | None:
         """Share of what the design has by which another could be better [-]."""
-        return None if self.value is None or self.reached == 0 else 1 - self.value / self.reached
+        if self.value is None or not isfinite(self.value) or self.reached == 0:
+            return None
+        return 1 - self.value / self.reached
 
 
 def account(
@@ -87,6 +90,7 @@ def account(
     constraints: Sequence[Constraint],
     *,
     structure: bool = True,
+    receptance: tuple[str, float] | None = None,
     any_controller: bool = True,
     pid: PidSearch | None = None,
 ) -> tuple[Entry, ...]:
@@ -100,6 +104,9 @@ def account(
         What the design meets; those on the structure alone bind the structures it is compared with.
     structure, any_controller, pid
         Which bounds to compute.
+    receptance
+        Port and frequency [rad/s], zero for the static compliance, at which no structure is to be softer than the
+        design; none for no such bound.
 
     Raises
     ------
@@ -108,14 +115,17 @@ def account(
     """
     truth = problem.evaluate(x, truth=True)
     entries: list[Entry] = []
+    mass = truth.value("structural_mass")
+
+    def floor(name: str, asked: Sequence[Constraint], at: tuple[str, float] | None = None) -> Entry:
+        return _line(name, mass, lambda: _floor(problem, asked, x, truth, at))
+
     if structure:
-        mass = truth.value("structural_mass")
-        entries.append(_line("mass_lower_bound", mass, lambda: _floor(problem, constraints, x, mass)))
-        own = truth.value("first_elastic_frequency") * (1 - _OWN)
-        alike = Constraint(parse_expression("first_elastic_frequency"), own, inf)
-        entries.append(
-            _line("mass_lower_bound_same_frequency", mass, lambda: _floor(problem, (alike,), x, mass))
-        )
+        entries.append(floor("mass_lower_bound", constraints))
+        alike = own_requirements(problem, x, ("first_elastic_frequency",), truth)
+        entries.append(floor("mass_lower_bound_same_frequency", alike))
+    if receptance is not None:
+        entries.append(floor("mass_lower_bound_same_receptance", (), receptance))
     if truth.system.disturbances and (any_controller or pid is not None):
         jitter = truth.value("jitter_total")
         if pid is not None:
@@ -125,6 +135,47 @@ def account(
         if any_controller:
             entries.append(_line("jitter_bound_any", jitter, lambda: _any(truth, jitter)))
     return tuple(entries)
+
+
+def refutation(problem: Problem, x: Array, constraints: Sequence[Constraint]) -> Entry | None:
+    """The proof that no structure in the box meets what constraints ask of it, or None where there is none.
+
+    Parameters
+    ----------
+    x
+        (n,) values of all variables: where a search gave up.
+    """
+    if not _has_structure(problem):
+        return None
+    truth = problem.evaluate(x, truth=True)
+    try:
+        _refuse_large(problem)
+        floor = structure_floor(problem, constraints, x, evaluation=truth)
+        proven = isinf(floor.bound.value) and isinf(floor.recomputed())
+    except FosoptError:
+        return None
+    if not proven:
+        return None
+    return Entry(
+        "mass_lower_bound",
+        inf,
+        truth.value("structural_mass"),
+        floor.bound.of,
+        floor.bound.assumptions,
+        remark=f"proven: no structure in the box meets {', '.join(floor.kept)}",
+    )
+
+
+def _refuse_large(problem: Problem) -> None:
+    size = len(problem.system.structure.dofs)
+    if size > _PROVABLE:
+        raise SolverError(
+            f"the proof takes full matrices of {size} degrees of freedom; it is made up to {_PROVABLE} of them"
+        )
+
+
+def _has_structure(problem: Problem) -> bool:
+    return any(v.quantity in _STRUCTURE for v in problem.variables)
 
 
 def _line(name: str, reached: float, find: Callable[[], tuple[Bound, str]]) -> Entry:
@@ -137,12 +188,21 @@ def _line(name: str, reached: float, find: Callable[[], tuple[Bound, str]]) -> E
     return Entry(name, bound.value, reached, bound.of, bound.assumptions, bound.allowance, remark)
 
 
-def _floor(problem: Problem, constraints: Sequence[Constraint], x: Array, mass: float) -> tuple[Bound, str]:
-    if not any(v.quantity in _STRUCTURE for v in problem.variables):
+def _floor(
+    problem: Problem,
+    constraints: Sequence[Constraint],
+    x: Array,
+    truth: Evaluation,
+    receptance: tuple[str, float] | None,
+) -> tuple[Bound, str]:
+    if not _has_structure(problem):
         raise SolverError(
             "nothing of the structure is a design variable; make areas, battens or springs free"
         )
-    floor = structure_floor(problem, constraints, x)
+    _refuse_large(problem)
+    also = () if receptance is None else (own_receptance(problem, x, *receptance, truth),)
+    mass = truth.value("structural_mass")
+    floor = structure_floor(problem, constraints, x, also=also, evaluation=truth)
     again = floor.recomputed()
     if not again >= floor.bound.value - _AGAIN * abs(mass):
         raise SolverError(
@@ -176,7 +236,7 @@ def _pid(
         start=_absolute(truth.design.loop.controller),
     )
     remark = f"a PID in the box reaches {found.jitter:.6g} rad" if found.jitter < jitter * (1 - 1e-6) else ""
-    stopped = "" if found.finished else f"stopped after {search.time_limit:g} s"
+    stopped = "" if found.finished else f"stopped after {found.seconds:.3g} s"
     return found.bound, "; ".join(filter(None, (remark, stopped)))
 
 
@@ -189,6 +249,8 @@ def pid_box(problem: Problem, x: Array) -> PidBox:
         If no controller gain is a variable.
     """
     slices = problem.slices()
+    if problem.base.loop.controller.path.sections:
+        raise SolverError("the search knows no filters and no sampling; remove them, or leave this bound out")
     free = [slices[v.name].start for v in problem.variables if v.quantity in _CONTROLLER]
     if not free:
         raise SolverError("no controller gain is a design variable; make one free")

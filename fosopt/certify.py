@@ -7,7 +7,7 @@ dynamic stiffness, optimality by multipliers that are computed afresh.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from math import inf
 
@@ -20,12 +20,14 @@ from fosopt.errors import FosoptError
 from fosopt.expressions import Expression
 from fosopt.metrics.disturbances import Disturbance
 from fosopt.metrics.jitter import resonance_quadrature
+from fosopt.metrics.sampled_check import sampled_disagreement
 from fosopt.modes import ModalFrame, ModalSet
 from fosopt.ops import Array, ComplexArray
 from fosopt.plant import coupled_matrices
 from fosopt.problem import Constraint, Evaluation, Problem, Rows
+from fosopt.problem.correction import as_model_sees
 from fosopt.solve.nlp import NonlinearProgram, Task
-from fosopt.structure import mass_matrix, stiffness_matrix
+from fosopt.structure import mass_weights, stiffness_weights
 
 # A constraint may be violated by this share of its bound: ten times the solver's tolerance.
 FEASIBILITY = 1e-6
@@ -37,9 +39,11 @@ MODE_RESIDUAL = 1e-9
 # Scaled KKT residual of a local optimum: what a quasi-Newton solver reaches at its acceptable level.
 OPTIMALITY = 1e-3
 # Metrics that an unstable loop does not have.
-_LOOP_ONLY = ("jitter_", "step_", "modulus_margin", "loop_crossover")
+_LOOP_ONLY = ("jitter_", "step_", "peak_", "modulus_margin", "loop_crossover")
 # A bound or constraint within this of its limit (relative) counts as active.
 _ACTIVE = 1e-5
+# Rounds of the search for multipliers; few are needed.
+_ROUNDS = 100
 
 
 @dataclass(frozen=True)
@@ -89,7 +93,7 @@ class Certificate:
         Values on the truth model, None where the design has none.
     truncation_error
         Relative difference of each metric between the design model and the truth model; empty where the design
-        model keeps all modes.
+        model keeps all modes and the loop is not sampled.
     constraints
         With slack and multiplier.
     """
@@ -135,29 +139,33 @@ def certify(
     )
     dense, disagreement = _poles(system, truth)
     abscissa = float(dense.real.max())
-    stable = bool(truth.stable and abscissa < 0)
-    if not disagreement <= POLE_AGREEMENT:
-        reasons.append(f"poles: two routes differ by {disagreement:.1e}, more than {POLE_AGREEMENT:.0e}")
+    sampled = truth.sampled
+    stable = bool(truth.stable and (sampled is not None or abscissa < 0))
     jitter_disagreement = None
     if not stable:
-        reasons.append(
-            f"unstable: a pole has the real part {max(abscissa, truth.poles.spectral_abscissa):.4g} rad/s"
-        )
+        known = truth.poles.spectral_abscissa
+        worst = max(abscissa, known) if sampled is None else sampled.model.spectral_abscissa
+        reasons.append(f"unstable: a pole has the real part {worst:.4g} rad/s")
+    elif sampled is not None:
+        apart, jitter_disagreement = sampled_disagreement(sampled.model)
+        disagreement = max(disagreement, apart)
     elif truth.system.disturbances:
         jitter_disagreement = max(
             _disagreement(independent_variance(truth, system, d), truth.variances[f"jitter_{d.name}"].value)
             for d in truth.system.disturbances
         )
-        if not jitter_disagreement <= AGREEMENT:
-            reasons.append(
-                f"jitter: two routes differ by {jitter_disagreement:.1e}, more than {AGREEMENT:.0e}"
-            )
+    if not disagreement <= POLE_AGREEMENT:
+        reasons.append(f"poles: two routes differ by {disagreement:.1e}, more than {POLE_AGREEMENT:.0e}")
+    if jitter_disagreement is not None and not jitter_disagreement <= AGREEMENT:
+        reasons.append(f"jitter: two routes differ by {jitter_disagreement:.1e}, more than {AGREEMENT:.0e}")
+    if sampled is not None:
+        abscissa = sampled.model.spectral_abscissa
     metrics = metrics_of(truth, stable)
     multipliers, kkt = _optimality(problem, x, constraints, objective, free) if stable else ({}, None)
     if kkt is not None and not kkt <= OPTIMALITY:
         reasons.append(f"optimality: KKT residual {kkt:.1e} exceeds {OPTIMALITY:.0e}")
     reports = []
-    for constraint in constraints:
+    for constraint in (*constraints, *problem.checks):
         report = _constraint(problem, x, truth, stable, constraint, multipliers.get(constraint.name))
         if report is None:
             reasons.append(f"constraint '{constraint.name}' has no value: the loop is unstable")
@@ -165,7 +173,7 @@ def certify(
         reports.append(report)
         if report.slack < -FEASIBILITY * _size(constraint):
             reasons.append(
-                f"constraint '{constraint.name}' is violated by {-report.slack:.3g} on the full-order model"
+                f"constraint '{constraint.name}' is violated by {-report.slack:.3g} on the truth model"
             )
     return Certificate(
         not reasons,
@@ -204,7 +212,7 @@ def _disagreement(variance: float, other: float) -> float:
 def _truncation_error(
     model: Evaluation, truth: Evaluation, metrics: dict[str, float | None]
 ) -> dict[str, float]:
-    if model.kept.size == truth.kept.size:
+    if model.kept.size == truth.kept.size and truth.sampled is None:
         return {}
     reduced = metrics_of(model, model.stable)
     return {
@@ -215,13 +223,23 @@ def _truncation_error(
 
 
 def _mode_residual(frame: ModalFrame, truth: Evaluation) -> float:
-    design, structure = truth.design, truth.system.structure
-    k = stiffness_matrix(structure, design.area, design.spring_stiffness)
-    m = mass_matrix(structure, design.area, design.batten_mass, design.mirror_mass)
-    residual = k @ frame.shapes - m @ frame.shapes * frame.eigenvalue
-    size = frame.eigenvalue[-1] * np.linalg.norm(m @ frame.shapes, axis=0)
-    gram = frame.shapes.T @ m @ frame.shapes - np.eye(frame.eigenvalue.size)
+    """By the rows of K = Bᵀ diag(w) B and M, which a large structure has instead of full matrices."""
+    stiff, heavy = _forces(truth)
+    shapes, n = frame.shapes, frame.n_exact
+    momentum = heavy(shapes)
+    residual = stiff(shapes[:, :n]) - momentum[:, :n] * frame.eigenvalue[:n]
+    size = frame.eigenvalue[n - 1] * np.linalg.norm(momentum[:, :n], axis=0)
+    gram = shapes.T @ momentum - np.eye(frame.eigenvalue.size)
     return float(max((np.linalg.norm(residual, axis=0) / size).max(), np.abs(gram).max()))
+
+
+def _forces(truth: Evaluation) -> tuple[Callable[[Array], Array], Callable[[Array], Array]]:
+    """Elastic forces K u and momenta M u of (n, c) displacements."""
+    design, structure = truth.design, truth.system.structure
+    stiffness = stiffness_weights(structure, design.area, design.spring_stiffness)
+    mass = mass_weights(structure, design.area, design.batten_mass, design.mirror_mass)
+    b, d = structure.stiffness_rows, structure.mass_rows
+    return (lambda u: b.T @ (stiffness[:, None] * (b @ u))), (lambda u: d.T @ (mass[:, None] * (d @ u)))
 
 
 def _scaled(system: StateSpace, modes: ModalSet) -> StateSpace:
@@ -288,7 +306,7 @@ def _by_lyapunov(system: StateSpace, disturbance: Disturbance) -> float:
 def _by_dynamic_stiffness(truth: Evaluation, disturbance: Disturbance) -> float:
     """∫ S(f) |H|² df with H from (K + jωC − ω²M) u = f in physical coordinates, structure and mirror together."""
     low, high = disturbance.counted
-    cuts = disturbance.frequency if disturbance.frequency is not None else np.zeros(0)
+    cuts = disturbance.cuts
     own = disturbance.filter.poles if disturbance.filter is not None else np.zeros(0, complex)
     nodes, weights = resonance_quadrature(np.concatenate([truth.poles.all, own]), low, high, cuts)
     response = _dense_responses(truth, nodes, disturbance.at)
@@ -297,19 +315,20 @@ def _by_dynamic_stiffness(truth: Evaluation, disturbance: Disturbance) -> float:
 
 def _dense_responses(truth: Evaluation, frequencies: Array, at: str) -> ComplexArray:
     """(m,) Line-of-sight response to one input, by a dense solve at each frequency."""
-    design, structure, frame = truth.design, truth.system.structure, truth.frame
-    modes, loop = truth.all_modes, design.loop
-    k = stiffness_matrix(structure, design.area, design.spring_stiffness)
-    m = mass_matrix(structure, design.area, design.batten_mass, design.mirror_mass)
-    momentum = m @ frame.shapes
+    structure, frame, modes, loop = truth.system.structure, truth.frame, truth.all_modes, truth.design.loop
+    stiff, heavy = _forces(truth)
+    # Of a large structure the motions that its truncated basis spans, of others all.
+    span = np.eye(len(structure.dofs)) if frame.outside is None else frame.shapes
+    k, m = span.T @ stiff(span), span.T @ heavy(span)
+    momentum = span.T @ heavy(frame.shapes)
     k = k + (momentum * np.where(modes.rigid, modes.stiffness, 0.0)) @ momentum.T
     c = (momentum * modes.damping) @ momentum.T
     port = truth.system.mirror_port
-    rows = {name: structure.port(name) for name in loop.ports(port)}
+    rows = {name: structure.port(name) @ span for name in loop.ports(port)}
     whole = coupled_matrices((m, c, k), rows, port, loop.mirror, loop.placement, loop.actuators)
     size, n = whole.mass.shape[0], m.shape[0]
     loads = {"mirror_torque": np.eye(size)[whole.mirror], "hub_torque": np.zeros(size)}
-    loads["hub_torque"][:n] = structure.port("hub")
+    loads["hub_torque"][:n] = structure.port("hub") @ span
     response: ComplexArray = np.zeros(frequencies.size, dtype=complex)
     for i, w in enumerate(frequencies):
         s = 1j * w
@@ -336,7 +355,7 @@ def _constraint(
     if not stable and any(name.startswith(_LOOP_ONLY) for name, _ in constraint.expression.references):
         return None
     try:
-        value = float(Rows(problem, (constraint.expression,))(x, truth)[0][0])
+        value = float(Rows(problem, (constraint.expression,)).values(x, truth)[0])
     except FosoptError:
         return None
     slack = min(value - constraint.lower, constraint.upper - value)
@@ -365,7 +384,7 @@ def _optimality(
     """
     if objective is None or free is None or not free.any():
         return {}, None
-    program = NonlinearProgram(Task(problem, objective, tuple(constraints), free), x)
+    program = NonlinearProgram(Task(problem, objective, as_model_sees(problem, constraints, x), free), x)
     z = program.scaled(x)
     answer = program(z)
     if answer is None:
@@ -378,20 +397,45 @@ def _optimality(
                 columns.append(sign * jacobian[i])
                 owner.append(i)
                 signs.append(sign)
-    unit = np.eye(z.size)
     span = program.upper - program.lower
-    bounds = [unit[i] for i in np.flatnonzero(program.upper - z <= _ACTIVE * span)]
-    bounds += [-unit[i] for i in np.flatnonzero(z - program.lower <= _ACTIVE * span)]
-    if not columns and not bounds:
-        return {}, float(np.abs(gradient).max())
-    matrix = np.array([*columns, *bounds]).T
-    weights, _ = optimize.nnls(matrix, -gradient, maxiter=50 * matrix.shape[1])
-    residual = gradient + matrix @ weights
+    at_upper, at_lower = program.upper - z <= _ACTIVE * span, z - program.lower <= _ACTIVE * span
+    matrix = np.array(columns).reshape(-1, z.size).T
+    weights, residual = _multipliers(matrix, gradient, at_upper, at_lower)
     multipliers: dict[str, float] = {}
-    for i, sign, weight in zip(owner, signs, weights[: len(owner)], strict=True):
+    for i, sign, weight in zip(owner, signs, weights, strict=True):
         name = program.row_names[i]
         physical = float(-sign * weight * program.objective_slope(value) / program.row_scale[i])
         multipliers[name] = multipliers.get(name, 0.0) + physical
     for name in program.row_names:
         multipliers.setdefault(name, 0.0)
     return multipliers, float(np.abs(residual).max())
+
+
+def _multipliers(
+    matrix: Array, gradient: Array, at_upper: NDArray[np.bool_], at_lower: NDArray[np.bool_]
+) -> tuple[Array, Array]:
+    """Weights of active rows that leave least of the gradient, and what they leave, one multiplier per active bound.
+
+    The multiplier of a bound takes what pushes its variable against it. Which bounds do follows from the weights of the
+    few rows: a convex problem, solved by repeating the least squares over what no bound takes.
+    """
+    weights, residual = np.zeros(matrix.shape[1]), gradient
+
+    def left(weights: Array) -> Array:
+        rest = gradient + matrix @ weights
+        return np.where((at_upper & (rest < 0)) | (at_lower & (rest > 0)), 0.0, rest)
+
+    best = left(weights)
+    taken = at_upper | at_lower
+    for _ in range(_ROUNDS if matrix.shape[1] else 0):
+        if taken.all():
+            break
+        found, _ = optimize.nnls(matrix[~taken], -gradient[~taken])
+        residual = left(found)
+        if np.linalg.norm(residual) <= np.linalg.norm(best):
+            weights, best = found, residual
+        now = (residual == 0) & (at_upper | at_lower)
+        if np.array_equal(now, taken):
+            break
+        taken = now
+    return weights, best

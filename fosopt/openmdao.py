@@ -36,12 +36,8 @@ class CodesignComponent(om.ExplicitComponent):  # type: ignore[misc]
     by underscores. All are in SI units. A loop without jitter, because it is unstable, raises OpenMDAO's
     ``AnalysisError``, from which its drivers step back.
 
-    Parameters
-    ----------
-    problem
-        An option: the `Problem`.
-    metrics
-        An option: texts of metrics or expressions; by default those of objectives and constraints.
+    Its options are `problem`, the `Problem`, and `metrics`, texts of metrics or expressions; by default those of
+    objectives and constraints.
     """
 
     def initialize(self) -> None:
@@ -77,13 +73,7 @@ class CodesignComponent(om.ExplicitComponent):  # type: ignore[misc]
         self.declare_partials("*", "*")
 
     def compute(self, inputs: Mapping[str, Array], outputs: Any) -> None:
-        """Values of all outputs.
-
-        Raises
-        ------
-        AnalysisError
-            If one needs the jitter of an unstable loop.
-        """
+        """Values of all outputs; OpenMDAO's ``AnalysisError`` if one needs the jitter of an unstable loop."""
         x = self._vector(inputs)
         for name, value in zip(self._names, self._answer(x, self._rows.values), strict=True):
             outputs[name] = value

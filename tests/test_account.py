@@ -4,16 +4,20 @@ from __future__ import annotations
 
 import csv
 from dataclasses import replace
+from math import inf
 
 import numpy as np
 import pytest
 from small_problems import limit, truss_problem
-from small_studies import analysis, edited, run_text
+from small_sizings import truss_of
+from small_studies import STUDIES, analysis, edited, run_text
 
 import fosopt.account as accounts
-from fosopt.account import Entry, PidSearch, account, pid_box
-from fosopt.errors import StudyError
-from fosopt.study import parse_study
+from fosopt.account import Entry, PidSearch, account, pid_box, refutation
+from fosopt.errors import ModelError, StudyError
+from fosopt.modes import Hub
+from fosopt.relax.structural import own_receptance
+from fosopt.study import describe_study, dump_study, parse_study
 
 NAMES = ["mass_lower_bound", "mass_lower_bound_same_frequency", "jitter_bound_pid", "jitter_bound_any"]
 QUICK = PidSearch(3.0, 0.2)
@@ -120,8 +124,95 @@ def test_a_bound_whose_proof_does_not_give_it_again_is_withheld(problem, monkeyp
     assert all(e.value is None and "when computed again" in e.remark for e in found)
 
 
+# --- as stiff as the design
+
+RECEPTANCE = "mass_lower_bound_same_receptance"
+
+
+def held_receptance(problem, x, rate):
+    """At the mirror's port with the hub clamped, from the modes of the clamped structure."""
+    modes = problem.evaluate(x).frame.modal_set(Hub("fixed"), problem.system.damping, ("tip",))
+    return float(np.sum(modes.at("tip") ** 2 / (modes.natural_frequency**2 - rate**2)))
+
+
+@pytest.mark.parametrize("rate", [0.0, 20.0])
+def test_a_designs_own_receptance_is_that_of_its_modes(rate):
+    problem = truss_of("fixed", 3)
+    asked = own_receptance(problem, problem.start, "tip", rate)
+    assert (asked.port, asked.frequency) == ("tip", rate)
+    assert asked.upper == pytest.approx(held_receptance(problem, problem.start, rate), rel=1e-9)
+
+
+@pytest.mark.parametrize("rate", [0.0, 20.0])
+def test_no_random_structure_as_stiff_as_the_design_is_lighter_than_the_bound(rate):
+    problem = truss_of("fixed", 3)
+    (entry,) = account(
+        problem, problem.start, (), structure=False, receptance=("tip", rate), any_controller=False
+    )
+    assert entry.name == RECEPTANCE
+    assert 0 < entry.value < entry.reached
+    assert "receptance at 20" in entry.of if rate else "compliance" in entry.of
+    own, met = held_receptance(problem, problem.start, rate), 0
+    rng = np.random.default_rng(4)
+    for spread in rng.uniform(0.0, 0.3, 300):
+        x = np.clip(problem.start * np.exp(spread * rng.normal(size=problem.start.size)), *problem.bounds)
+        evaluation = problem.evaluate(x)
+        if evaluation.value("first_elastic_frequency") > rate and held_receptance(problem, x, rate) <= own:
+            met += 1
+            assert evaluation.value("structural_mass") >= entry.value
+    assert met > 30
+    # The bound is that of a structure, which is found to be as stiff and almost as light.
+    lighter = float(entry.remark.split("structure of ")[1].split(" kg")[0])
+    assert entry.value == pytest.approx(lighter, rel=1e-5)
+
+
+def test_a_receptance_above_the_first_frequency_has_no_bound_and_says_why():
+    problem = truss_of("pinned", 3)
+    with pytest.raises(ModelError, match=r"not below [\d.]+ rad/s, the first frequency"):
+        own_receptance(problem, problem.start, "tip", 1e4)
+    (entry,) = account(
+        problem, problem.start, (), structure=False, receptance=("tip", 1e4), any_controller=False
+    )
+    assert entry.value is None
+    assert "lower it" in entry.remark
+    # Held at its hub, a pinned truss is the fixed one.
+    held = truss_of("fixed", 3)
+    first = held.evaluate(held.start).value("first_elastic_frequency")
+    assert float(entry.remark.split("not below ")[1].split(" rad/s")[0]) == pytest.approx(first, rel=1e-5)
+
+
 def test_an_entry_of_nothing_has_no_gap():
     assert Entry("jitter_bound_any", 0.0, 0.0).gap is None
+
+
+# --- nothing in the box
+
+
+def test_a_requirement_no_structure_meets_is_refuted_and_one_that_some_do_is_not(problem):
+    asked = (limit("first_elastic_frequency", lower=1e4), limit("modulus_margin", lower=0.4))
+    found = refutation(problem, problem.start, asked)
+    assert found.name == "mass_lower_bound"
+    assert found.value == inf
+    assert found.gap is None
+    assert found.remark == "proven: no structure in the box meets 10000 rad/s <= first_elastic_frequency"
+    assert "no structure in the box does" in found.of
+    assert refutation(problem, problem.start, problem.constraints) is None
+    # The stiffest structure of the box meets what all of it is as stiff as.
+    x = problem.start.copy()
+    x[:2] = problem.bounds[1][:2]
+    reached = problem.evaluate(x).value("first_elastic_frequency")
+    barely = limit("first_elastic_frequency", lower=0.9 * reached)
+    assert refutation(problem, problem.start, (barely,)) is None
+
+
+def test_without_structural_variables_or_a_proof_that_comes_out_again_nothing_is_refuted(
+    problem, monkeypatch
+):
+    asked = (limit("first_elastic_frequency", lower=1e4),)
+    loop_only = replace(problem, variables=problem.variables[1:])
+    assert refutation(loop_only, problem.start[2:], asked) is None
+    monkeypatch.setattr("fosopt.relax.structure_floor.StructureFloor.recomputed", lambda self: 1e9)
+    assert refutation(problem, problem.start, asked) is None
 
 
 # --- in a run
@@ -147,6 +238,31 @@ def test_a_run_with_certificates_has_them_in_every_file(tmp_path):
     assert "jitter_bound_pid" in run["quantities"]
 
 
+def test_a_run_has_the_receptance_floor_it_asks_for(tmp_path):
+    asked = "\ncertificates: {structure: false, pid: null, any_controller: false, receptance: {port: tip}}\n"
+    run = run_text(edited(("points: 5", "points: 2")) + asked, tmp_path)
+    for point in run["points"][1:]:
+        (found,) = point["bounds"]
+        assert found["name"] == RECEPTANCE
+        assert 0 <= found["gap"] < 1
+        assert "compliance at port 'tip'" in found["of"]
+    assert run["quantities"][RECEPTANCE]["label"] == "least mass for this receptance"
+
+
+def test_a_run_whose_requirement_no_structure_meets_says_that_this_is_proven(tmp_path):
+    run = run_text(
+        edited(("points: 5", "points: 2"), ("lower: 4 Hz", "lower: 5 kHz")) + CERTIFICATES, tmp_path
+    )
+    refuted = run["points"][1]
+    assert refuted["status"] == "infeasible"
+    assert (
+        "proven: no structure in the box meets 31415.92654 rad/s <= first_elastic_frequency"
+        in refuted["reason"]
+    )
+    (entry,) = refuted["bounds"]
+    assert (entry["value"], entry["gap"]) == (None, None)
+
+
 def test_an_analysis_has_bounds_on_its_controller(tmp_path):
     (point,) = run_text(analysis() + "\ncertificates: {pid: null}\n", tmp_path)["points"]
     found = {b["name"]: b for b in point["bounds"]}
@@ -161,8 +277,39 @@ def test_an_analysis_has_bounds_on_its_controller(tmp_path):
         ("certificates: {pid: {gap: 0}}", "certificates.pid.gap"),
         ("certificates: {pid: {time_limit: 0 s}}", "certificates.pid.time_limit"),
         ("certificates: {mass: true}", "certificates.mass: unknown key"),
+        (
+            "certificates: {receptance: {port: tipp}}",
+            "certificates.receptance.port: .*'tipp'; did you mean 'tip'",
+        ),
+        ("certificates: {receptance: {port: tip, frequency: -1 Hz}}", "certificates.receptance.frequency"),
+        ("certificates: {receptance: {}}", "certificates.receptance.port"),
     ],
 )
 def test_wrong_certificates_are_refused(text, words):
-    with pytest.raises(StudyError, match=words.replace(".", r"\.")):
+    with pytest.raises(StudyError, match=words):
         parse_study(edited() + f"\n{text}\n")
+
+
+def test_a_sweep_takes_no_certificates():
+    text = (STUDIES / "inertia-sweep.yaml").read_text(encoding="utf-8")
+    with pytest.raises(StudyError, match="a sweep has no 'certificates'"):
+        parse_study(f"{text}\ncertificates: {{pid: null}}\n")
+
+
+def test_a_description_says_what_will_be_bounded():
+    asked = "certificates: {receptance: {port: tip}, any_controller: false, pid: {gap: 3 %}}"
+    text = "\n".join(describe_study(parse_study(f"{edited()}\n{asked}\n")))
+    bounded = text.split("bounded")[1].split("\n\n")[0]
+    assert "mass by requirements and by first frequency" in bounded
+    assert "mass by receptance of port tip at zero frequency" in bounded
+    assert "any controller" not in bounded
+    assert "jitter of any PID in the box to 3 %, 10 s per point" in bounded
+    assert "bounded" not in "\n".join(describe_study(parse_study(edited())))
+
+
+@pytest.mark.parametrize("pid", ["null", "{gap: 3 %}"])
+def test_a_search_that_was_declined_stays_declined_when_the_study_is_written_and_read(pid):
+    study = parse_study(f"{edited()}\ncertificates: {{pid: {pid}}}\n")
+    again = parse_study(dump_study(study))
+    assert (again.certificates.pid is None) == (pid == "null")
+    assert again == study

@@ -12,6 +12,7 @@ from reference import HZ
 from small_problems import TIGHT, expressions, goal, limit, truss_problem
 
 import fosopt.problem.evaluation as fast
+import fosopt.problem.system as system
 from fosopt import certify as judge
 from fosopt.certify import Certificate, certify
 from fosopt.control import closed_loop_state_space
@@ -379,8 +380,8 @@ def test_a_wrong_jitter_of_any_disturbance_is_caught(optimum, monkeypatch):
 )
 def test_wrong_modes_are_caught(optimum, monkeypatch, damage):
     problem, _ = optimum
-    right = fast.modal_frame
-    monkeypatch.setattr(fast, "modal_frame", lambda *arguments: damage(right(*arguments)))
+    right = system.modal_frame
+    monkeypatch.setattr(system, "modal_frame", lambda *arguments: damage(right(*arguments)))
     reasons = certify(problem, problem.start, ()).reasons
     assert any(reason.startswith("modes: residual") for reason in reasons)
 

@@ -235,5 +235,5 @@ def test_a_design_on_too_few_modes_that_fails_on_all_of_them_is_no_success(tmp_p
     light = run_study(study, tmp_path / "out")["points"][1]
     assert (light["status"], light["verified"]) == ("failed", False)
     assert "constraint 'modulus_margin' is violated" in light["reason"]
-    assert "on the full-order model" in light["reason"]
+    assert "on the truth model" in light["reason"]
     assert light["truncation_error"]["modulus_margin"] > 1e-3

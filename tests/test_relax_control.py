@@ -260,6 +260,27 @@ def test_a_plant_that_does_not_come_to_rest_is_refused():
         performance_limit(undamped, BENCHMARK)
 
 
+def test_structural_modes_that_only_the_mirror_damps_are_resolved():
+    model = shared.truss(0.2, bays=3)
+    values = []
+    for ratio in (0.0, 1e-10):
+        damped = replace(
+            model, modes=replace(model.modes, damping_ratio=np.full_like(model.modes.damping_ratio, ratio))
+        )
+        values.append(performance_limit(damped, TRUSS).bound.value)
+    # A damping of 1e-10 changes the poles, whose damping by the mirror is a thousand times larger.
+    assert values[0] == pytest.approx(values[1], rel=1e-6)
+
+
+def test_least_squares_without_a_solution_are_a_solver_error(monkeypatch):
+    def fails(*_, **__):
+        raise np.linalg.LinAlgError("SVD did not converge")
+
+    monkeypatch.setattr("numpy.linalg.lstsq", fails)
+    with pytest.raises(SolverError, match="damping"):
+        performance_limit(shared.benchmark(3), BENCHMARK)
+
+
 @pytest.mark.parametrize(
     ("disturbances", "match"),
     [
@@ -332,6 +353,15 @@ def test_the_discs_of_a_youla_design_hold_at_frequencies_it_was_not_made_for():
     assert np.abs(1 - closed).max() <= 1.2 * (1 + 2e-4)
     assert held.complementary_peak == pytest.approx(np.abs(closed).max(), rel=1e-3)
     assert held.jitter > free.jitter
+
+
+@pytest.mark.parametrize(("ms", "mt"), [(1.003, inf), (inf, 1.1)])
+def test_peaks_between_the_frequencies_of_a_disc_are_found_and_held(ms, mt, monkeypatch):
+    monkeypatch.setattr("fosopt.relax.youla._GRID", 8)
+    monkeypatch.setattr("fosopt.relax.youla._DENSER", 300)
+    held = youla(shared.benchmark(2), BENCHMARK, order=16, ms=ms, mt=mt)
+    assert held.sensitivity_peak <= ms * (1 + 5e-4)
+    assert held.complementary_peak <= mt * (1 + 5e-4)
 
 
 @pytest.mark.parametrize("case", [None, 2])

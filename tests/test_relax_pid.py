@@ -21,7 +21,7 @@ from fosopt.relax.performance_limit import performance_limit
 from fosopt.relax.pid_bound import best_pid
 from fosopt.relax.pid_box import Boxes, PidBox, box_of_crossovers
 from fosopt.relax.pid_relaxation import relaxation
-from fosopt.relax.pid_stability import judge
+from fosopt.relax.pid_stability import encircles, judge
 
 EVERY_CASE = pytest.mark.parametrize("case", shared.CASES)
 
@@ -156,6 +156,19 @@ def test_no_controller_of_a_hopeless_box_is_stable(model, box):
             assert closed_loop_poles(loop, model.modes, "tip").spectral_abscissa >= 0
 
 
+def test_only_a_curve_around_zero_that_no_change_moves_across_it_encircles_zero():
+    circle = np.exp(2j * np.pi * np.arange(32) / 32)
+    still = np.zeros(32)
+    assert encircles(0.5 + circle, still)
+    assert not encircles(1.5 + circle, still)
+    assert not encircles(circle[::-1], still)
+    # Its nearest point is half away from zero; what the curve bends by between points is taken off.
+    assert encircles(0.5 + circle, still + 0.45)
+    assert not encircles(0.5 + circle, still + 0.5)
+    assert not encircles(0.5 + circle, np.where(np.arange(32) == 16, 0.6, 0.0))
+    assert not encircles(np.ones(32, dtype=complex), still)
+
+
 # The best one
 
 
@@ -214,6 +227,14 @@ def test_a_margin_rules_out_better_controllers():
     assert held.jitter > 1.03 * free.jitter
     assert held.bound.value > free.bound.value
     assert "0.7" in held.bound.of
+
+
+def test_a_stable_controller_is_found_where_many_unstable_ones_would_have_less_jitter():
+    # The box of the study that certifies a front, most of which is unstable or short of the margin.
+    box = PidBox((1.0, 1.0), (0.3, 3e7), (20.0, 1e11), (0.03, 2e4))
+    found = best_pid(shared.truss(0.2, bays=8), TRUSS, box, gap=0.99, modulus_margin=0.5, time_limit=0.0)
+    assert found.controller is not None
+    assert found.jitter < 1.5 * found.limit.bound.value
 
 
 def test_when_time_is_up_the_bound_still_holds():

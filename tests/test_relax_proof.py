@@ -236,6 +236,32 @@ def test_a_piece_of_a_free_hub_takes_no_plain_vectors_and_no_endless_secants():
         Proof(one_end, u).value(whole)
 
 
+def test_a_piece_that_does_not_fit_its_directions_or_sides_is_refused():
+    whole, _ = two_inertias()
+    u, none, one = np.array([[1.0], [-1.0]]), np.zeros(0), np.zeros(1)
+    empty = (np.zeros((3, 0)),)
+    fitting = Leaf(empty, none, one, none)
+    assert Proof(fitting, u).value(whole)[0] >= 0
+    for wrong, directions in (
+        (Leaf(empty, none, np.zeros(2), none), u),
+        (Leaf(empty, none, one, one), u),
+        (Split(1, 0.3, Leaf(empty, none, one, one), Leaf(empty, none, one, one)), u),
+        (Split(-1, 0.3, Leaf(empty, none, one, one), Leaf(empty, none, one, one)), u),
+        (Split(0, 0.3, fitting, Leaf(empty, none, one, one)), u),
+        (fitting, np.vstack([u, u])),
+    ):
+        for value in (Proof.value, Proof.exact_value):
+            with pytest.raises(SolverError, match="does not fit"):
+                value(Proof(wrong, directions), whole)
+
+
+def test_a_structure_that_cannot_turn_takes_no_secants():
+    whole = sizing([1.0])
+    for secants, sides in ((np.ones(1), np.zeros(0)), (np.zeros(0), np.ones(1))):
+        with pytest.raises(SolverError, match="does not fit"):
+            Proof(Leaf((), np.zeros(0), secants, sides), np.zeros((0, 0))).value(whole)
+
+
 def test_a_tree_proves_what_its_worst_piece_does_and_every_structure_lies_in_one_piece():
     problem = truss_of("pinned", 4, mirror_mass=0.0, box=(0.01, 20.0))
     whole = structural_part(problem, problem.constraints, problem.start).sizing

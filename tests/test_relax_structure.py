@@ -331,15 +331,17 @@ def test_constraints_of_the_loop_are_left_out_and_named():
         limit("area[1]", lower=5e-5),
     )
     floor = structure_floor(problem, constraints, problem.start)
-    assert floor.kept == ("100 <= first_elastic_frequency", "5e-05 <= area[1]")
+    assert floor.kept == ("100 rad/s <= first_elastic_frequency", "5e-05 m^2 <= area[1]")
     assert floor.left_out == (
-        "first_elastic_frequency <= 1000",
-        "jitter_total <= 1e-05",
+        "first_elastic_frequency <= 1000 rad/s",
+        "jitter_total <= 1e-05 rad",
         "structural_mass / 2 <= 100",
-        "structural_mass <= 50",
+        "structural_mass <= 50 kg",
     )
     assert any("jitter_total" in said for said in floor.bound.assumptions)
-    assert floor.bound.of.startswith("structural_mass of every structure in the box that meets: 100 <= first")
+    assert floor.bound.of.startswith(
+        "structural_mass of every structure in the box that meets: 100 rad/s <= first"
+    )
 
 
 def test_a_floor_needs_an_objective_that_is_linear():

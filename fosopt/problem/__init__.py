@@ -2,11 +2,12 @@
 
 from fosopt.problem.evaluation import Evaluation
 from fosopt.problem.problem import Constraint, Problem, Rows, branched
-from fosopt.problem.system import INDEXED, Design, ModeSelection, System
+from fosopt.problem.system import INDEXED, LARGE, Design, ModeSelection, System
 from fosopt.problem.variables import Definitions, Variable, design_parameters
 
 __all__ = [
     "INDEXED",
+    "LARGE",
     "Constraint",
     "Definitions",
     "Design",

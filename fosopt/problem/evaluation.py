@@ -9,18 +9,21 @@ from functools import cached_property, partial
 import numpy as np
 from numpy.typing import NDArray
 
-from fosopt.control import ClosedLoopPoles, closed_loop_poles, modal_matrices
+from fosopt.control import ClosedLoopPoles, OpenLoopPoles, closed_loop_poles, modal_matrices
 from fosopt.errors import ModelError, SolverError, did_you_mean
 from fosopt.metrics import inertias, margins
 from fosopt.metrics.functional import Functional, LoopModel, Points
 from fosopt.metrics.inertias import ModalFunctional
 from fosopt.metrics.jitter import Variance, jitter_variances
+from fosopt.metrics.peaks import peaks
+from fosopt.metrics.sampled import SampledModel
 from fosopt.metrics.step import step_metrics
-from fosopt.modes import ModalFrame, ModalSet, modal_frame, receptance_functional
+from fosopt.modes import ModalFrame, ModalSet, receptance_functional
 from fosopt.ops import Array, ComplexArray
 from fosopt.plant import CoupledModes, coupled_modes, modes_of_matrices
+from fosopt.problem.as_built import AsBuilt, no_gradient
+from fosopt.problem.linear import linear_metric
 from fosopt.problem.system import INDEXED, Design, System
-from fosopt.structure import structural_mass, structure_inertia
 from fosopt.symbolic import LOOP_PARAMETERS, loop_differential
 
 # Metrics that are the least or the largest of several branches, and how many of these enter a constraint one by one.
@@ -45,6 +48,10 @@ class _Found:
         return self.value, self.gradient
 
 
+def _refuse_gradient(name: str) -> Array:
+    raise no_gradient(name)
+
+
 class Evaluation:
     """A system at one design: modes, poles, metrics and gradients, each computed once when first asked for.
 
@@ -61,6 +68,7 @@ class Evaluation:
         self.system, self.design, self.shift = system, design, shift
         self._known: dict[tuple[str, int | None], _Found] = {}
         self._near: ClosedLoopPoles | None = None
+        self._shared: OpenLoopPoles | None = None
 
     def neighbor(self, design: Design) -> Evaluation:
         """Evaluation of a design that differs in mirror and controller only: it shares the modes of this one.
@@ -74,7 +82,7 @@ class Evaluation:
             self.kept,
             self.modes,
         )
-        beside._near = self.__dict__.get("poles", self._near)
+        beside._near, beside._shared = self.__dict__.get("poles", self._near), self._shared
         return beside
 
     def neighbors(self, designs: Sequence[Design]) -> list[Evaluation]:
@@ -83,21 +91,24 @@ class Evaluation:
         What cannot be found together is left to each of them.
         """
         # numba takes a while to import, and only this needs it.
-        from fosopt.control.many import many_closed_loop_poles
+        from fosopt.control.many import many_closed_loop_poles, shared_open_loop
         from fosopt.metrics.jitter_many import many_jitter_variances
 
         beside = [self.neighbor(design) for design in designs]
-        found = many_closed_loop_poles([design.loop for design in designs], self.poles)
+        port, disturbances = self.system.mirror_port, self.system.disturbances
+        if self._shared is None:
+            self._shared = shared_open_loop(self.design.loop, self.modes, port)
+        loops = [design.loop for design in designs]
+        found = many_closed_loop_poles(loops, self.modes, port, self.poles, self._shared)
         good = []
         for k, known in enumerate(found):
             if known is not None:
                 good.append(k)
                 beside[k].poles = known
-        if not good or not self.system.disturbances:
+        if not good or not disturbances:
             return beside
-        loops, poles = [designs[k].loop for k in good], [beside[k].poles for k in good]
-        port, disturbances = self.system.mirror_port, self.system.disturbances
-        squares = many_jitter_variances(loops, poles, self.modes, port, disturbances)
+        loops, poles = [loops[k] for k in good], [beside[k].poles for k in good]
+        squares = many_jitter_variances(loops, poles, disturbances)
         for k, row in zip(good, squares.tolist(), strict=True):
             if not any(np.isnan(row)):
                 beside[k].mean_squares = {
@@ -107,11 +118,8 @@ class Evaluation:
 
     @cached_property
     def frame(self) -> ModalFrame:
-        """Eigenbasis of the structure."""
-        d, system = self.design, self.system
-        return modal_frame(
-            system.structure, d.area, d.batten_mass, d.mirror_mass, system.mirror_port, d.spring_stiffness
-        )
+        """Eigenbasis of the structure; of a large one its lowest modes, with residual flexibility."""
+        return self.system.frame(self.design)
 
     @cached_property
     def all_modes(self) -> ModalSet:
@@ -122,6 +130,8 @@ class Evaluation:
     @cached_property
     def kept(self) -> NDArray[np.intp]:
         """Indices of the modes the design model keeps."""
+        if self.frame.outside is not None:
+            return np.arange(self.frame.eigenvalue.size)
         return self.system.selection.of(self.all_modes.natural_frequency)
 
     @cached_property
@@ -149,10 +159,18 @@ class Evaluation:
         """Closed-loop poles."""
         return closed_loop_poles(self.design.loop, self.modes, self.system.mirror_port, self._near)
 
+    @cached_property
+    def sampled(self) -> AsBuilt | None:
+        """The sampled loop, where the system is taken as built and the loop is sampled."""
+        loop, system = self.design.loop, self.system
+        if not system.as_built or loop.controller.path.sampling is None:
+            return None
+        return AsBuilt(SampledModel(loop, self.modes, system.mirror_port, system.disturbances), system)
+
     @property
     def stable(self) -> bool:
         """Whether all closed-loop poles decay."""
-        return self.poles.spectral_abscissa < 0
+        return self.poles.spectral_abscissa < 0 if self.sampled is None else self.sampled.model.stable
 
     def value(self, name: str, index: int | None = None) -> float:
         """Value of a metric, SI units, without the work of its gradient; raises what `metric` raises."""
@@ -184,7 +202,7 @@ class Evaluation:
     def branches(self, name: str) -> list[Valued]:
         """The outermost branches of a metric that is a least or a largest one, for constraints."""
         if name == "first_elastic_frequency":
-            elastic = np.flatnonzero(self.frame.eigenvalue > 0)[: BRANCHES[name]]
+            elastic = np.arange(self.frame.n_rigid, self.frame.n_exact)[: BRANCHES[name]]
             return [self._frequency(int(k)).valued for k in elastic]
         return [each.valued for each in (self._margins if name == "modulus_margin" else self._decays)]
 
@@ -199,6 +217,12 @@ class Evaluation:
             raise ModelError(
                 f"metric '{name}' does not exist; {did_you_mean(name, (*self.system.metric_names, *INDEXED))}"
             )
+        if self.sampled is not None and self.sampled.has(name):
+            return _Found(self.sampled.value(name), partial(_refuse_gradient, name))
+        if name.startswith("peak_"):
+            if np.isinf(self._peaks[name]):
+                raise ModelError(f"{name} is infinite: the derivative does not roll off; add a roll-off")
+            return _Found(self._peaks[name], partial(_refuse_gradient, name))
         if name == "jitter_total":
             return self._jitter([f"jitter_{d.name}" for d in self.system.disturbances])
         if name.startswith("jitter_"):
@@ -210,21 +234,24 @@ class Evaluation:
         if name == "first_elastic_frequency":
             return self._frequency(self.frame.n_rigid)
         if name == "reference_inertia":
-            value = inertias.reference_inertia(self.modes, self.system.mirror_port)
-            return _Found(
-                value,
-                lambda: self._modal_gradient(
-                    inertias.reference_inertia_functional(
-                        self.frame, self.all_modes, self.kept, self.system.mirror_port
-                    )
-                ),
-            )
+            return self._reference_inertia()
         if name == "loop_crossover":
             frequency, functional = margins.crossover(self.model, self.poles)
             return _Found(frequency, lambda: self._loop_gradient([functional]))
         if name == "spectral_abscissa":
             return _Found(self.poles.spectral_abscissa, lambda: self._decays[0].gradient)
-        return self._rigid(name)
+        value, gradient = linear_metric(self.system.structure, self.design, name)
+        return _Found(value, lambda: gradient)
+
+    def _reference_inertia(self) -> _Found:
+        port, outside = self.system.mirror_port, self.frame.outside
+        if outside is None:
+            value = inertias.reference_inertia(self.modes, port)
+            parts = self.frame, self.all_modes, self.kept, port
+            return _Found(value, lambda: self._modal_gradient(inertias.reference_inertia_functional(*parts)))
+        # 1/J_ref = eᵀ M⁻¹ e of the whole structure: that of a few modes says little about it.
+        value, still = 1 / outside.mobility, np.zeros(self.system.structure.stiffness_rows.shape[0])
+        return _Found(value, lambda: self._weights_gradient(still, (value * outside.impulse_shapes) ** 2))
 
     @cached_property
     def _decays(self) -> list[_Found]:
@@ -240,30 +267,6 @@ class Evaluation:
         )
         return self._modal_gradient(hidden)
 
-    def _rigid(self, name: str) -> _Found:
-        """Masses and inertias, which need no modes: linear in the structure's parameters."""
-        structure, d = self.system.structure, self.design
-        b, r = d.area.size, d.batten_mass.size
-        gradient = np.zeros(d.parameters.size)
-        if name in ("structural_mass", "total_mass"):
-            gradient[:b] = structure.bar_mass_per_area
-            gradient[b : b + r] = 1.0
-            mass = float(structural_mass(structure, d.area, d.batten_mass))
-            proof = sum(a.mass for a in d.loop.actuators if not a.rotary)
-            return _Found(mass + d.mirror_mass + proof if name == "total_mass" else mass, lambda: gradient)
-        inertia = float(structure_inertia(structure, d.area, d.batten_mass))
-        arm2 = structure.hub_arm**2
-        gradient[:b] = structure.mass_by_area.T @ arm2
-        gradient[b : b + r] = structure.mass_by_batten.T @ arm2
-        if name == "structure_inertia":
-            return _Found(inertia, lambda: gradient)
-        own = np.zeros_like(gradient)
-        own[-len(LOOP_PARAMETERS)] = 1.0
-        mirror = float(d.loop.mirror.inertia)
-        if name == "mirror_inertia":
-            return _Found(mirror, lambda: own)
-        return _Found(mirror / inertia, lambda: own / inertia - mirror / inertia**2 * gradient)
-
     def _frequency(self, mode: int) -> _Found:
         value = float(np.sqrt(self.frame.eigenvalue[mode]))
         return _Found(
@@ -273,6 +276,8 @@ class Evaluation:
     def _modal(self, name: str, index: int) -> _Found:
         own = name in ("structure_frequency", "modal_inertia")
         count = self.modes.natural_frequency.size + (0 if own else 1)
+        if own and self.frame.outside is not None:
+            count = self.frame.n_exact
         if not 1 <= index <= count:
             raise ModelError(f"{name}[{index}]: the model has modes 1 to {count}")
         k = index - 1
@@ -396,13 +401,20 @@ class Evaluation:
         found = step_metrics(self.model, self.poles, self.system.step)
         return {name: _Found(value, partial(self._loop_gradient, [f])) for name, (value, f) in found.items()}
 
+    @cached_property
+    def _peaks(self) -> dict[str, float]:
+        retargeting = self.system.retargeting
+        assert retargeting is not None
+        return peaks(self.model, self.poles, retargeting)
+
     def _weights_gradient(self, stiffness: Array, mass: Array) -> Array:
         """From derivatives for the row weights of K and M to one over `Design.parameters`."""
         by_members = self.system.structure.weight_gradients @ np.concatenate([stiffness, mass])
         return np.concatenate([by_members, np.zeros(len(LOOP_PARAMETERS))])
 
     def _modal_gradient(self, functional: ModalFunctional) -> Array:
-        gradient = self._weights_gradient(*self.frame.contract(functional.stiffness, functional.mass))
+        by_rows = self.frame.contract(functional.stiffness, functional.mass, functional.motion)
+        gradient = self._weights_gradient(*by_rows)
         first = gradient.size - len(LOOP_PARAMETERS)
         gradient[first] = functional.mirror_inertia
         gradient[first + 1] = functional.mirror_frequency

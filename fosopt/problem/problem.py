@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from math import inf
 from typing import Any
 
 import numpy as np
+from scipy import sparse
 
 from fosopt import ops
 from fosopt.errors import ModelError, did_you_mean
@@ -55,6 +56,8 @@ class Problem:
         One or two expressions to minimize.
     constraints
         What every design must meet.
+    checks
+        What every design is judged by as well, but not optimized for: limits that have no gradient.
     """
 
     system: System
@@ -63,6 +66,7 @@ class Problem:
     objectives: tuple[Expression, ...]
     constraints: tuple[Constraint, ...] = ()
     definitions: Definitions = field(default_factory=Definitions)
+    checks: tuple[Constraint, ...] = ()
 
     def __post_init__(self) -> None:
         names = [v.name for v in self.variables]
@@ -140,11 +144,12 @@ class Problem:
         return self.base.with_parameters(self._parameters(x)[0])
 
     def evaluate(self, x: Array, shift: float = 0.0, truth: bool = False) -> Evaluation:
-        """Evaluation of the design at `x`, on the truth model if asked for."""
-        return Evaluation(self.system.truth if truth else self.system, self.design(x), shift)
+        """Evaluation of the design at `x`, if asked for on the truth model and with the loop as built."""
+        system = replace(self.system.truth, as_built=True) if truth else self.system
+        return Evaluation(system, self.design(x), shift)
 
-    def parameter_jacobian(self, x: Array) -> Array:
-        """(p, n) Jacobian of the design parameters."""
+    def parameter_jacobian(self, x: Array) -> Array | sparse.csc_array:
+        """(p, n) Jacobian of the design parameters; sparse for very many variables."""
         return self._parameters(x)[1]
 
     def metric_function(self, *names: str) -> OracleFunction:
@@ -203,6 +208,15 @@ class Rows:
         if (index is None and size > 1) or not 1 <= (index or 1) <= size:
             raise ModelError(f"variable '{name}' has {size} values; write {name}[1] to {name}[{size}]")
         return int(part.start) + (index or 1) - 1
+
+    def values(self, x: Array, evaluation: Evaluation) -> Array:
+        """(m,) values at `x`, without the work of their gradients; raises what a call raises."""
+        variables = self._problem.slices()
+        found = [
+            x[self._position(name, index)] if name in variables else evaluation.value(name, index)
+            for name, index in self._references
+        ]
+        return self._formula(np.array(found or [0.0]))[0]
 
     def __call__(self, x: Array, evaluation: Evaluation) -> tuple[Array, Array]:
         """(m,) values and (m, n) Jacobian at `x`.

@@ -10,8 +10,10 @@ from numpy.typing import NDArray
 from fosopt.control import Loop
 from fosopt.errors import ModelError
 from fosopt.metrics.disturbances import Disturbance
+from fosopt.metrics.peaks import PEAKS
+from fosopt.metrics.sequence import Retargeting
 from fosopt.metrics.step import StepCommand
-from fosopt.modes import Damping, Hub
+from fosopt.modes import Damping, Hub, ModalFrame, modal_frame, truncated_frame
 from fosopt.ops import Array
 from fosopt.structure import Structure
 from fosopt.symbolic import layout_of, loop_of, loop_parameters
@@ -28,6 +30,14 @@ _SCALARS = (
     "modulus_margin",
     "loop_crossover",
 )
+# From so many degrees of freedom on, modes come from sparse factorizations and those left out leave their flexibility.
+LARGE = 500
+# A sparse search pays for no more than this share of all modes.
+_MOST = 1 / 2
+# Solving for all modes of more degrees of freedom than this takes gigabytes.
+_WHOLE = 3000
+# How many times more modes the truth model of a large structure has.
+_TRUTH = 2
 INDEXED = (
     "structure_frequency",
     "natural_frequency",
@@ -76,7 +86,11 @@ class ModeSelection:
 
 @dataclass(frozen=True)
 class System:
-    """Everything about a flexible optical system that does not change with the design."""
+    """Everything about a flexible optical system that does not change with the design.
+
+    With `as_built`, metrics of a sampled loop are its own, not those of its continuous model. `retargeting` is the
+    sequence on which the mirror's stroke, rate and torque are counted.
+    """
 
     structure: Structure
     mirror_port: str
@@ -85,6 +99,8 @@ class System:
     disturbances: tuple[Disturbance, ...] = ()
     step: StepCommand | None = None
     selection: ModeSelection = field(default_factory=ModeSelection)
+    as_built: bool = False
+    retargeting: Retargeting | None = None
 
     def __post_init__(self) -> None:
         names = [d.name for d in self.disturbances]
@@ -92,9 +108,55 @@ class System:
             raise ModelError(f"disturbances: the names {names} are not unique; rename one")
 
     @property
+    def truncated(self) -> int | None:
+        """Number of lowest modes extracted, with residual flexibility beside them; None where all are solved for.
+
+        A truss of more than `LARGE` degrees of freedom of which a number of modes is kept, half of all at most.
+
+        Raises
+        ------
+        ModelError
+            If too large a structure would be solved for all its modes.
+        """
+        n, count = len(self.structure.dofs), self.selection.count
+        if n > LARGE and count is not None and count <= _MOST * n and self.structure.truss.bars:
+            return count
+        if n > _WHOLE:
+            rows = self.structure.stiffness_rows.shape[0] + self.structure.mass_rows.shape[0]
+            size = 8 * n * (rows + 4 * n) / 2**30
+            raise ModelError(
+                f"modes: all modes of {n} degrees of freedom would take about {size:.0f} GiB; "
+                f"keep a number of the lowest, {int(_MOST * n)} at most"
+            )
+        return None
+
+    def frame(self, design: Design) -> ModalFrame:
+        """Eigenbasis of the structure at a design."""
+        sizes = design.area, design.batten_mass, design.mirror_mass
+        count, springs = self.truncated, design.spring_stiffness
+        if count is None:
+            return modal_frame(self.structure, *sizes, self.mirror_port, springs)
+        ports = (self.mirror_port, "hub", *design.loop.other_ports)
+        return truncated_frame(self.structure, *sizes, ports, count, springs)
+
+    @property
     def truth(self) -> System:
-        """The same system with all its modes: the model a design is judged on."""
-        return replace(self, selection=ModeSelection())
+        """The model a design is judged on: all modes, of a large structure twice as many as the design model has."""
+        n, count = len(self.structure.dofs), self.truncated
+        if count is None:
+            return replace(self, selection=ModeSelection())
+        more, most = _TRUTH * count, int(_MOST * n)
+        whole = ModeSelection(most) if n > _WHOLE else ModeSelection()
+        return replace(self, selection=ModeSelection(more) if more <= most else whole)
+
+    @property
+    def model(self) -> str:
+        """What design and truth model have of the structure's modes, in words."""
+        n = len(self.structure.dofs)
+        if self.truncated is None:
+            return f"all {n}" if self.selection == ModeSelection() else f"some of {n}, judged on all"
+        judged = self.truth.truncated or n
+        return f"the first {self.truncated} of {n} with residual flexibility, judged on {judged}"
 
     @property
     def metric_names(self) -> tuple[str, ...]:
@@ -102,7 +164,8 @@ class System:
         jitter = (
             ("jitter_total", *(f"jitter_{d.name}" for d in self.disturbances)) if self.disturbances else ()
         )
-        return (*_SCALARS, *jitter, *(("step_offset", "step_rms") if self.step else ()))
+        step = ("step_offset", "step_rms") if self.step else ()
+        return (*_SCALARS, *jitter, *step, *(PEAKS if self.retargeting else ()))
 
 
 @dataclass(frozen=True)

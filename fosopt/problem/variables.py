@@ -148,7 +148,13 @@ def design_parameters(
     if crossover is not None and "gain" not in values:
         mirror = Mirror(loop["mirror_inertia"], loop["mirror_frequency"], loop["mirror_damping_ratio"])
         loop["gain"] = gain_for_crossover(
-            crossover, mirror, loop["kp"], loop["ki"], loop["kd"], loop["rolloff_time"]
+            crossover,
+            mirror,
+            loop["kp"],
+            loop["ki"],
+            loop["kd"],
+            loop["rolloff_time"],
+            base.loop.controller.path,
         )
     return ops.stack(*members.values(), *(loop[name] for name in LOOP_PARAMETERS))
 

@@ -118,7 +118,7 @@ class OpenLoop:
         first = self.poles.open_loop.first
         return resolving_nodes(
             self._measured,
-            np.concatenate([self.spectral_poles, first[first != 0], -self.zeros.conj()]),
+            np.concatenate([self.spectral_poles, first[first.real < 0], -self.zeros.conj()]),
             low,
             high,
             np.concatenate([edges, *tables]),

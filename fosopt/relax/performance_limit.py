@@ -20,6 +20,7 @@ from math import inf, sqrt
 
 import numpy as np
 
+from fosopt.errors import SolverError
 from fosopt.metrics.disturbances import Disturbance
 from fosopt.metrics.functional import LoopModel
 from fosopt.ops import Array, ComplexArray
@@ -83,13 +84,18 @@ def performance_limit(model: LoopModel, disturbances: Sequence[Disturbance]) -> 
         If structure and mirror do not come to rest by themselves.
     ModelError
         If there is no disturbance, or one has infinite variance under any controller.
+    SolverError
+        If the least-squares problem has no solution in double precision.
     """
     loop = open_loop(model, disturbances)
     spectra = loop.spectra(loop.nodes(TOLERANCE))
     rows, target, constant = _least_squares(loop, spectra)
     size = np.linalg.norm(rows, axis=0)
     scale = np.where(size > 0, size, 1.0)
-    coefficients = np.linalg.lstsq(rows / scale, target, rcond=_WEAKEST)[0] / scale
+    try:
+        coefficients = np.linalg.lstsq(rows / scale, target, rcond=_WEAKEST)[0] / scale
+    except np.linalg.LinAlgError as failure:
+        raise SolverError(f"least squares of the limit: {failure}; give each mode more damping") from failure
     found = constant + _gain(rows @ coefficients, target)
     rows, target, noncausal = _least_squares(loop, loop.spectra(spectra.nodes.halved))
     again = noncausal + _gain(rows @ coefficients, target)

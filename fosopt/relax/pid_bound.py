@@ -36,7 +36,7 @@ from fosopt.relax.quadrature import Nodes
 _TOLERANCE = 1e-3  # to which the first nodes resolve the spectrum
 _HALVINGS = 4
 _BATCH = 150_000  # nodes times boxes at a time
-_SAMPLES, _TRIED, _STARTS = 400, 60, 3
+_SAMPLES, _STARTS = 400, 3
 _LOCAL_EVALUATIONS = 150
 _UNSTABLE = 1e3  # stands for the logarithm of an infinite jitter
 _AGAIN = 2.5  # time of the second bound of a box over that of the first, with room
@@ -69,7 +69,7 @@ class PidBound:
     finished
         Whether the gap was reached; otherwise time was up.
     seconds
-        It took.
+        Processor time it took.
     """
 
     bound: Bound
@@ -107,7 +107,7 @@ def best_pid(
     modulus_margin
         Least distance of the loop transfer from −1 of the controllers that count; zero admits all stable ones [-].
     time_limit
-        Stop after about this time [s].
+        Stop after about this processor time, which other work on the machine does not shorten [s].
     start
         A controller in the box to begin with, such as one an optimizer found.
 
@@ -118,7 +118,7 @@ def best_pid(
     ModelError
         If there is no disturbance, one has infinite variance with every controller in the box, or `start` is not in it.
     """
-    begin = time.perf_counter()
+    begin = time.process_time()
     if not 0 < gap < 1:
         raise ModelError(f"gap {gap} must be above zero and below one")
     if start is not None and not box.contains(start):
@@ -138,7 +138,7 @@ def best_pid(
         each.hold(jitter, f"the PID controller {search.gains}")
     finished = value >= (1 - gap) * jitter
     controller = None if search.gains is None else box.controller(search.gains)
-    seconds = time.perf_counter() - begin
+    seconds = time.process_time() - begin
     return PidBound(bound, controller, jitter, search.limit, search.count, finished, seconds)
 
 
@@ -229,9 +229,13 @@ class _Search:
             gains = np.clip(known, self.box.whole.low[0], self.box.whole.high[0])
             found += [gains] if self.consider(gains) < inf else []
         samples = self.box.at(np.random.default_rng(0).random((_SAMPLES, len(GAINS))))
+        samples = samples[~self.relaxation.too_close(Boxes(samples, samples), self.margin)]
+        # Unstable controllers may look better than all stable ones.
         best_first = np.argsort(self.relaxation.variance(samples), kind="stable")
-        for gains in samples[best_first[:_TRIED]]:
-            if len(found) < _STARTS and self.consider(gains) < inf:
+        for gains in samples[best_first]:
+            if len(found) == _STARTS:
+                break
+            if self.consider(gains) < inf:
                 found.append(gains)
         for gains in found:
             self._improve(gains)
@@ -285,7 +289,7 @@ class _Search:
             halves = joined([entry.box for entry in worst]).split(np.array([entry.along for entry in worst]))
             self._add(halves, np.tile([entry.bound for entry in worst], 2))
             pending = len(self.open) + sum(bounds.size for _, bounds in self.leaves)
-            if time.perf_counter() + _AGAIN * pending * self.bounding / self.count > deadline:
+            if time.process_time() + _AGAIN * pending * self.bounding / self.count > deadline:
                 return False
         return True
 
@@ -305,9 +309,9 @@ class _Search:
         if self.margin > 0:
             near = self.relaxation.too_close(boxes, self.margin)
             boxes, parents = boxes.take(~near), parents[~near]
-        begin = time.perf_counter()
+        begin = time.process_time()
         bounds, influence = self.relaxation.bounds(boxes)
-        self.bounding += time.perf_counter() - begin
+        self.bounding += time.process_time() - begin
         middle = boxes.middle
         promise = self.relaxation.variance(middle)
         low, high = boxes.absolute

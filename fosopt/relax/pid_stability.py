@@ -88,13 +88,19 @@ def _shared(model: LoopModel, pole: complex, nearest: complex, half: Array, roll
         g = model.points(s).g
         value = characteristic(model.loop, s, g)
         change = np.abs(sensor_gain(model.loop, s, g)) * _controller_change(s, half, rolloff_time)
-        if _encircles(value, change) or _encircles(value * (s - nearest), change * np.abs(s - nearest)):
+        if encircles(value, change) or encircles(value * (s - nearest), change * np.abs(s - nearest)):
             return True
     return False
 
 
-def _encircles(value: ComplexArray, change: Array) -> bool:
-    """Whether a closed curve through `value` goes around zero, and so does every other within `change` of it."""
+def encircles(value: ComplexArray, change: Array) -> bool:
+    """Whether a closed curve goes around zero counterclockwise, and so does every other within `change` of it.
+
+    Parameters
+    ----------
+    value, change
+        (m,) points along the curve, and how far another one may be from each.
+    """
     following = np.roll(value, -1)
     chord = following - value
     bend = np.abs(np.roll(value, 1) - 2 * value + following)

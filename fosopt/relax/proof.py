@@ -46,7 +46,7 @@ class Leaf:
     limits
         (m,) λ of the linear limits.
     secants, sides
-        (d,) per direction and (s,) per side of the piece.
+        Per direction, later ones left out, and (s,) per side of the piece.
     ray
         Whether it proves that the piece is empty.
     """
@@ -130,10 +130,15 @@ class Judge:
     Raises
     ------
     SolverError
-        If the rigid body of a structure that may turn has no inertia somewhere in the box.
+        If the rigid body of a structure that may turn has no inertia somewhere in the box, or the directions do not
+        fit its requirement.
     """
 
     def __init__(self, sizing: Sizing, directions: Array) -> None:
+        if sizing.turning is not None and directions.shape[0] != sizing.requirements[sizing.turning].size:
+            raise SolverError(
+                f"a proof with directions of {directions.shape[0]} entries does not fit the requirements; make it anew"
+            )
         self._sizing, self._directions = sizing, directions
         self._floating, self._magnitude = Floating(), Magnitude()
         self.lines = lines(sizing, directions, self._floating)
@@ -314,6 +319,16 @@ def _refuse(sizing: Sizing, directions: Array, path: Path, leaf: Leaf) -> None:
     if sizes != [r.size + 1 for r in sizing.requirements] or leaf.limits.size != sizing.limits.size:
         raise SolverError(
             f"a proof with vectors of {sizes} entries does not fit the requirements; make it anew"
+        )
+    splits = 0 if sizing.turning is None else directions.shape[1]
+    if leaf.secants.size > splits or any(not 0 <= k < splits for k, _, _ in path):
+        raise SolverError(
+            f"a piece of a proof with {leaf.secants.size} secants and cuts along {sorted({k for k, _, _ in path})} "
+            f"does not fit {splits} directions; make it anew"
+        )
+    if leaf.sides.size != len(path):
+        raise SolverError(
+            f"a proof with {leaf.sides.size} multipliers for {len(path)} sides does not fit; make it anew"
         )
     if not all(np.all(np.isfinite(v)) for v in (*leaf.vectors, directions)):
         raise SolverError("a vector of a proof is not finite; make it anew")

@@ -24,6 +24,16 @@ from fosopt.relax.sizing import AffineForm, Requirement, Sizing
 
 # Metrics that are linear in areas, batten masses and springs.
 LINEAR = ("structural_mass", "total_mass", "structure_inertia")
+_UNITS = {
+    "structural_mass": " kg",
+    "total_mass": " kg",
+    "structure_inertia": " kg m^2",
+    "reference_inertia": " kg m^2",
+    "first_elastic_frequency": " rad/s",
+    "structure_frequency": " rad/s",
+    "area": " m^2",
+    "jitter_total": " rad",
+}
 # A design meets a requirement that it misses by this share of it: what solvers leave, and what a judge lets pass.
 MISSED = 1e-6
 # Requirements that are relaxed to what a design attains are relaxed by this more, for the rounding of that value.
@@ -174,18 +184,50 @@ def structural_part(
 
 
 def _words(name: str, lower: float, upper: float) -> str:
-    low = f"{lower:.10g} <= " if isfinite(lower) else ""
-    high = f" <= {upper:.10g}" if isfinite(upper) else ""
+    unit = _UNITS.get(name.split("[")[0], "")
+    low = f"{lower:.10g}{unit} <= " if isfinite(lower) else ""
+    high = f" <= {upper:.10g}{unit}" if isfinite(upper) else ""
     return f"{low}{name}{high}"
 
 
-def own_requirements(problem: Problem, x: Array, names: Sequence[str]) -> tuple[Constraint, ...]:
+def own_requirements(
+    problem: Problem, x: Array, names: Sequence[str], evaluation: Evaluation | None = None
+) -> tuple[Constraint, ...]:
     """Constraints that ask of other structures what the design at `x` has of each metric, as lower bounds.
 
     With these, `structure_floor` says how much lighter a structure that is as stiff as this one could be.
     """
-    evaluation = problem.evaluate(x, truth=True)
-    return tuple(Constraint(parse_expression(name), lower=evaluation.value(name)) for name in names)
+    truth = problem.evaluate(x, truth=True) if evaluation is None else evaluation
+    return tuple(Constraint(parse_expression(name), lower=truth.value(name)) for name in names)
+
+
+def own_receptance(
+    problem: Problem, x: Array, port: str, frequency: float, evaluation: Evaluation | None = None
+) -> Receptance:
+    """The undamped receptance at a port that the design at `x` has, as a requirement on other structures.
+
+    Parameters
+    ----------
+    frequency
+        Zero for the static compliance [rad/s].
+
+    Raises
+    ------
+    ModelError
+        If the frequency is not below the design's first, hub held, the port is unknown or it does not move.
+    """
+    reader = _Reader(problem, x, problem.evaluate(x, truth=True) if evaluation is None else evaluation)
+    requirement = reader.at_port(Receptance(port, frequency, 1.0))
+    # One less the share of the limit that is used up.
+    attained = 1 - requirement.margin(reader.x)
+    if not isfinite(attained):
+        lowest = Requirement("", requirement.elastic, requirement.inertial, frequency)
+        first = frequency * sqrt(1 + lowest.margin(reader.x))
+        raise ModelError(
+            f"receptance at {frequency:.6g} rad/s at port '{port}': not below {first:.6g} rad/s, the first frequency "
+            "of this design with its hub held; lower it, or give zero for the static compliance"
+        )
+    return Receptance(port, frequency, attained)
 
 
 class _Reader:
@@ -271,6 +313,10 @@ class _Reader:
         self._loaded(Requirement(said, self.mass, load=port, limit=1 / inertia))
 
     def static(self, asked: Compliance | Receptance) -> None:
+        """Take a compliance or receptance at a port."""
+        self._loaded(self.at_port(asked))
+
+    def at_port(self, asked: Compliance | Receptance) -> Requirement:
         """A compliance or receptance at a port, with the hub held still where it may turn."""
         rate = asked.frequency if isinstance(asked, Receptance) else 0.0
         what = f"receptance at {rate:.10g} rad/s" if rate else "compliance"
@@ -283,7 +329,7 @@ class _Reader:
         if not np.any(load):
             raise ModelError(f"{what} at port '{asked.port}': the port does not move; choose another")
         said = f"{what} at port '{asked.port}'{hub} <= {asked.upper:.10g}"
-        self._loaded(Requirement(said, stiffness, mass if rate else None, rate, load, asked.upper))
+        return Requirement(said, stiffness, mass if rate else None, rate, load, asked.upper)
 
     def _loaded(self, requirement: Requirement) -> None:
         assert requirement.load is not None

@@ -19,6 +19,13 @@ Status = Literal["optimal", "infeasible", "failed", "interrupted"]
 
 # With IPOPT's own six updates, or with twenty, some points of a front of the dissertation's truss stalled.
 _MEMORY = 50
+# From the usual barrier and distance to the bounds IPOPT leaves an optimum it starts at, and may end at another one.
+_NEAR = {
+    "mu_init": 1e-6,
+    "bound_push": 1e-8,
+    "bound_frac": 1e-8,
+    "bound_mult_init_method": "mu-based",
+}
 
 
 def never() -> bool:
@@ -41,11 +48,14 @@ class Options:
         Scaled optimality tolerance.
     max_iterations, time_limit
         Per solve; [s].
+    near
+        Whether the start is close to an optimum, which is to be found again and not another one.
     """
 
     tolerance: float = 1e-6
     max_iterations: int = 300
     time_limit: float = 120.0
+    near: bool = False
 
 
 @dataclass(frozen=True)
@@ -157,6 +167,7 @@ def solve(
                 # A relaxed bound would let the objective fall below the true optimum.
                 "bound_relax_factor": 0.0,
                 "nlp_scaling_method": "none",
+                **(_NEAR if options.near else {}),
             },
         },
     )
