@@ -38,6 +38,7 @@ RANKS = {
     "units": 0,
     "ops": 0,
     "expressions": 1,
+    "forms": 1,
     "structure": 1,
     "modes": 2,
     "actuators": 3,
@@ -52,6 +53,7 @@ RANKS = {
     "certify": 10,
     "report": 11,
     "export": 11,
+    "interchange": 11,
     "openmdao": 11,
     "study": 12,
     "reproduce": 13,
@@ -65,8 +67,12 @@ ANYWHERE = None
 LIBRARIES = {
     "casadi": {"ops", "symbolic", "modes", "solve"},
     "clarabel": {"relax"},
+    "control": {"interchange"},
     "cvxpy": {"relax"},
+    "dask": {"study"},
+    "distributed": {"study"},
     "matplotlib": {"report"},
+    "netCDF4": {"export"},
     "numba": {"plant"},
     "numpy": ANYWHERE,
     "openmdao": {"openmdao"},
@@ -79,7 +85,7 @@ LIBRARIES = {
     "scipy": ANYWHERE,
     "typer": {"cli"},
 }
-HEAVY = {"casadi", "clarabel", "cvxpy", "matplotlib", "numba", "plotly", "scipy"}
+HEAVY = {"casadi", "clarabel", "cvxpy", "dask", "distributed", "matplotlib", "numba", "plotly", "scipy"}
 
 LINE_LIMIT = 450
 
@@ -163,7 +169,10 @@ def test_libraries_stay_inside_their_fences(modules):
 
 def test_every_run_time_dependency_has_a_fence():
     project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
-    declared = {re.split("[<>=~! ]", line)[0] for line in project["dependencies"]}
+    extras = [
+        line for name, lines in project["optional-dependencies"].items() if name != "test" for line in lines
+    ]
+    declared = {re.split("[<>=~! ]", line)[0] for line in [*project["dependencies"], *extras]}
     provided = packages_distributions()
     fenced = {name.replace("_", "-") for library in LIBRARIES for name in provided[library]}
     assert fenced == declared

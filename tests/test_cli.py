@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import errno
+import io
 import json
 import os
 import re
@@ -19,9 +20,11 @@ from fake_run import fake_run, point
 from typer.testing import CliRunner
 
 from fosopt.cli.commands import app
-from fosopt.cli.progress import duration
-from fosopt.errors import ModelError
-from fosopt.study import TEMPLATE
+from fosopt.cli.guard import Code
+from fosopt.cli.progress import duration, remaining, watching
+from fosopt.errors import ModelError, StoppedError
+from fosopt.study import TEMPLATE, load_study
+from fosopt.study.runner import Progress, Workers
 from fosopt.study.store import RECORD, Store
 
 FRONT = (point("start", "evaluated"), point("000"), point("001"))
@@ -42,17 +45,12 @@ def solved(monkeypatch: pytest.MonkeyPatch):
     def put(*points, error: BaseException | None = None, **changes):
         calls = []
 
-        def run_study(study, out, *, progress, stop):
-            calls.append(SimpleNamespace(study=study, out=out, stop=stop))
-            progress(
-                SimpleNamespace(stage="start design", done=0, total=len(points), point=None, seconds=0.0)
-            )
+        def run_study(study, out, *, progress, stop, workers, origin):
+            calls.append(SimpleNamespace(study=study, out=out, stop=stop, workers=workers, origin=origin))
+            total = len(points)
+            progress(Progress("start design", 0, total, None, 0.0))
             for done, each in enumerate(points, 1):
-                progress(
-                    SimpleNamespace(
-                        stage=each["label"], done=done, total=len(points), point=each, seconds=10.0
-                    )
-                )
+                progress(Progress(each["label"], done, total, each, 10.0))
             if error is not None:
                 raise error
             return fake_run(*points, **changes)
@@ -94,7 +92,7 @@ def test_progress_goes_to_stderr_one_line_per_point(study, solved):
         "[0/3] start design",
         "[1/3] start point start: evaluated, verified; structural_mass 9.1 kg, jitter_total 10 urad (10 s)",
         "[2/3] 000 point 000: optimal, verified; structural_mass 9.1 kg, jitter_total 10 urad "
-        "(10 s, about 10 s left)",
+        "(10 s, 6 points/min, about 10 s left)",
         "[3/3] 001 point 001: failed, not verified; structural_mass 10.1 kg, jitter_total 5 urad; "
         "no step; raise it (10 s)",
     ]
@@ -215,6 +213,10 @@ def test_what_goes_wrong_in_a_run_is_one_line_and_code_3(study, solved, error):
         ("nonsense",),
         ("run",),
         ("run", "beam.yaml", "--nonsense"),
+        ("run", "beam.yaml", "--workers", "-1"),
+        ("run", "beam.yaml", "--workers", "2", "--scheduler", "tcp://there:8786"),
+        ("run", "beam.yaml", "--scheduler", "there"),
+        ("rerun", "runs"),
         ("export", "runs"),
         ("export", "runs", "--format", "xls"),
     ],
@@ -274,10 +276,60 @@ def test_a_run_is_exported_from_its_directory_or_its_record(tmp_path, form):
     assert other.stat().st_size == (tmp_path / f"front.{form}").stat().st_size
 
 
-def test_exit_codes_are_documented():
-    text = invoke("run", "--help").stdout
-    for code in (0, 1, 2, 3, 4, 130):
+@pytest.mark.parametrize("command", ["run", "resume"])
+def test_exit_codes_are_documented(command):
+    text = invoke(command, "--help").stdout
+    page = (Path(__file__).parents[1] / "docs" / "running.md").read_text(encoding="utf-8")
+    for code in (2, *Code):
         assert re.search(rf"^ +{code} +\w", text, re.MULTILINE)
+        assert re.search(rf"^\| {code:d} \|", page, re.MULTILINE)
+
+
+def test_who_computes_is_chosen_on_the_command_line(study, solved):
+    calls = solved(*FRONT)
+    for arguments, workers in (
+        ((), Workers()),
+        (("--workers", "3"), Workers(3)),
+        (("--scheduler", "tcp://there:8786"), Workers(scheduler="tcp://there:8786")),
+    ):
+        invoke("run", study, *arguments, "--set", "front.points=7")
+        assert calls[-1].workers == workers
+        assert (calls[-1].origin.file, calls[-1].origin.assignments) == (Path(study), ["front.points=7"])
+
+
+def test_a_run_that_the_machine_stops_ends_with_code_5(study, solved):
+    solved(*FRONT, error=StoppedError("the disk is full; continue with 'fosopt resume runs/beam'"))
+    result = invoke("run", study)
+    assert result.exit_code == 5
+    assert (
+        result.stderr.splitlines()[-1] == "fosopt: the disk is full; continue with 'fosopt resume runs/beam'"
+    )
+
+
+def test_an_interrupted_run_says_how_to_go_on(study, monkeypatch, solved):
+    solved(*FRONT)
+    monkeypatch.setattr("fosopt.cli.outcome.exit_code", lambda run, stopped: Code.INTERRUPTED)
+    result = invoke("run", study)
+    assert result.exit_code == 130
+    assert result.stdout.splitlines()[-1] == "continue with: fosopt resume runs/beam"
+
+
+def test_a_long_silence_is_broken_now_and_then(monkeypatch, study):
+    monkeypatch.setattr("fosopt.cli.progress._BEAT", 0.05)
+    monkeypatch.setattr(sys, "stderr", io.StringIO())
+    with watching(load_study(study)) as watch:
+        watch(Progress("start design", 0, 5, None, 0.0))
+        watch(Progress("point", 1, 5, point("000"), 1.0))
+        end = time.monotonic() + 30
+        while "at work" not in sys.stderr.getvalue() and time.monotonic() < end:
+            time.sleep(0.01)
+        text = sys.stderr.getvalue().splitlines()[2]
+    assert text == "[1/5] at work for 0 s; best: structural_mass 9.1 kg, jitter_total 10 urad"
+
+
+def test_the_pace_leaves_out_what_was_known_before():
+    assert remaining(Progress("", 10, 20, None, 60.0, known=4)) == "6 points/min, about 1 min 40 s left"
+    assert remaining(Progress("", 4, 20, None, 60.0, known=4)) == ""
 
 
 def test_the_version_is_printed():
@@ -301,7 +353,7 @@ deaf = "deaf" in sys.argv
 sys.path[:0] = sys.argv[2:4]
 import fosopt.study.runner
 from fake_run import fake_run, point
-def run_study(study, out, *, progress, stop):
+def run_study(study, out, *, progress, stop, **more):
     print("ready", file=sys.stderr, flush=True)
     deadline = time.monotonic() + 60
     while (deaf or not stop()) and time.monotonic() < deadline:
@@ -402,13 +454,13 @@ def test_a_terminal_shows_a_bar_with_the_best_values(study, solved, monkeypatch)
     main, side = os.openpty()
     with os.fdopen(side, "w") as terminal:
         monkeypatch.setattr(sys, "stderr", terminal)
-        from fosopt.cli.progress import watching
         from fosopt.study import runner
-        from fosopt.study.load import load_study
 
         loaded = load_study(study)
         with watching(loaded) as watch:
-            runner.run_study(loaded, Path("out"), progress=watch, stop=lambda: False)
+            runner.run_study(
+                loaded, Path("out"), progress=watch, stop=lambda: False, workers=None, origin=None
+            )
             time.sleep(0.3)
         shown = _drained(main)
     os.close(main)

@@ -136,6 +136,14 @@ def test_tables_and_matlab_file_have_the_numbers_of_the_arrays(grid):
     matlab = loadmat(grid.out / "sweep.mat")
     assert np.array_equal(matlab["spectral_abscissa"].ravel(), grid.arrays["spectral_abscissa"])
     assert matlab["one_minus_separation"].shape == grid.arrays["one_minus_separation"].shape
+    about = loadmat(grid.out / "sweep.mat", simplify_cells=True)["about"]
+    assert list(about["axes"]) == ["damping_ratio", "mirror_inertia_ratio"]
+    assert list(about["shape"]) == [2, 5]
+    assert about["units"]["spectral_abscissa"] == "rad/s"
+    assert about["names"]["jitter_total_modulus_margin"] == "jitter_total / modulus_margin"
+    # Rows follow the last axis first.
+    rows = matlab["mirror_inertia_ratio"].reshape(2, 5)
+    assert np.array_equal(rows[1], about["grid"]["mirror_inertia_ratio"])
     described = json.loads((grid.out / "sweep.json").read_text(encoding="utf-8"))
     units = {each["name"]: each["unit"] for each in (*described["axes"], *described["outputs"])}
     assert units["spectral_abscissa"] == "rad/s"
@@ -184,6 +192,30 @@ def test_the_area_scale_multiplies_all_areas_and_the_ratio_of_inertias_stays(tmp
     for name in ("structural_mass", "first_elastic_frequency"):
         assert found[name][0] == pytest.approx(point.value(name), rel=1e-12)
     assert found["inertia_ratio"][0] == pytest.approx(0.002, rel=1e-12)
+
+
+CHAIN = """\
+structure:
+  type: chain
+  bodies: [{name: hub, inertia: 50}, {name: middle, inertia: 3}, {name: tip, inertia: 20}]
+  springs: [{stiffness: 4e5}, {stiffness: 9e5}]
+"""
+
+
+def test_the_port_of_the_mirror_is_an_axis(tmp_path):
+    changes = [
+        (section(TEMPLATE, "structure"), CHAIN),
+        ("  mass_fraction: 0.7", "  mass: 0"),
+        ("inertia_ratio: 0.2 %", "inertia: 0.05"),
+    ]
+    text = sweep_text(over("{quantity: mirror_port, list: [tip, middle]}", "natural_frequency"), *changes)
+    found = run_in(tmp_path / "run", text)
+    assert found.run["axes"][0]["labels"] == ["tip", "middle"]
+    for row, port in zip(found.arrays["natural_frequency"], ("tip", "middle"), strict=True):
+        point = alone(analysis(*changes), [("port: tip", f"port: {port}")])
+        np.testing.assert_allclose(row, point.coupled.natural_frequency, rtol=1e-11)
+    with (found.out / "points.csv").open(encoding="utf-8") as stream:
+        assert [row["mirror_port"] for row in csv.DictReader(stream)] == ["tip", "middle"]
 
 
 def test_trusses_of_different_length_leave_modes_empty(tmp_path):

@@ -3,16 +3,16 @@
 from __future__ import annotations
 
 import json
-import time
-from enum import StrEnum
 from itertools import count
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
-from fosopt.cli import reproduce
-from fosopt.cli.guard import guarded, interruptible, say
+from fosopt.cli import export as exporting
+from fosopt.cli import reproduce, runs
+from fosopt.cli.doctor import doctor
+from fosopt.cli.guard import EXIT_CODES, Stop, guarded, say
 
 app = typer.Typer(
     help="Co-design of structure, mirror and controller for flexible optical systems.",
@@ -38,28 +38,11 @@ _RUN_HELP = """Solve a study and write its results.
 
 Results go to a directory: report.html to look at, front.csv and front.json for other programs, study.yaml and
 designs/ to run again, run.sqlite as the record that 'fosopt export' reads. A point is on disk as soon as it is
-finished. Ctrl-C ends the run after what is at hand; a second Ctrl-C ends it at once.
+finished. Ctrl-C ends the run after what is at hand; a second Ctrl-C ends it at once. 'fosopt resume' continues a
+run that was interrupted or killed.
 A sweep leaves points.csv, boundary.csv, arrays/ with one .npy file per axis and output, sweep.mat where these are not
 large, and sweep.json, which names them all with their units.
 """
-_RUN_EPILOG = """\b
-Exit codes:
-  0    finished; at least one point is verified and none failed
-  1    a defect of fosopt; FOSOPT_DEBUG=1 shows the traceback
-  2    wrong usage
-  3    the study file, a file it names or the output directory is at fault
-  4    finished, but a point failed (no convergence, out of time or not
-       verified), or no point is verified
-  130  interrupted; what was found so far is on disk
-"""
-
-
-class Format(StrEnum):
-    """Files that a run is exported to."""
-
-    CSV = "csv"
-    JSON = "json"
-    MAT = "mat"
 
 
 def _version(wanted: bool) -> None:
@@ -82,7 +65,7 @@ def _options(
     pass
 
 
-@app.command(help=_RUN_HELP, epilog=_RUN_EPILOG)
+@app.command(help=_RUN_HELP, epilog=EXIT_CODES)
 @guarded
 def run(
     study_file: StudyFile,
@@ -96,33 +79,27 @@ def run(
         ),
     ] = None,
     assignments: Assignments = None,
-    as_json: Annotated[
-        bool, typer.Option("--json", help="Print one JSON summary on stdout, and nothing else there.")
-    ] = False,
+    workers: runs.WorkerCount = 0,
+    scheduler: runs.SchedulerAddress = None,
+    as_json: runs.AsJson = False,
 ) -> None:
     """Solve a study and write its results."""
-    from fosopt.cli.outcome import closing, exit_code, summary
-    from fosopt.cli.progress import watching
-    from fosopt.cli.sweep import sweep_closing, sweep_code, sweep_summary, watching_sweep
 
-    started = time.monotonic()
-    with interruptible() as stop:
+    def work(tell: runs.Start, stop: Stop) -> tuple[dict[str, Any], Path]:
         from fosopt.study.load import load_study
+        from fosopt.study.resume import Origin
         from fosopt.study.runner import run_study
 
         study = load_study(study_file, assignments or ())
         directory = _fresh_directory(study_file) if out is None else out
-        sweep = study.kind == "sweep"
-        with watching_sweep() if sweep else watching(study) as watch:
-            data = run_study(study, directory, progress=watch, stop=stop)
-        code = sweep_code(data) if sweep else exit_code(data, stopped=stop())
-    seconds = time.monotonic() - started
-    if as_json:
-        said = (sweep_summary if sweep else summary)(data, directory, code, seconds)
-        say(json.dumps(said, allow_nan=False))
-    for line in (sweep_closing if sweep else closing)(data, directory, seconds):
-        say(line, error=as_json)
-    raise typer.Exit(code)
+        origin = Origin(study_file, assignments or ())
+        who = runs.who(workers, scheduler)
+        with tell(study) as watch:
+            return run_study(
+                study, directory, progress=watch, stop=stop, workers=who, origin=origin
+            ), directory
+
+    runs.end(work, as_json)
 
 
 def _fresh_directory(study_file: Path) -> Path:
@@ -144,22 +121,38 @@ def check(
     """Read a study file and print the problem as mathematics. Exit code 3 if the file breaks a rule."""
     from fosopt.study import describe_study, load_study
     from fosopt.study.build import build_problem
+    from fosopt.study.describe_loop import describe_controller
 
     study = load_study(study_file, assignments or ())
-    build_problem(study)
+    problem = build_problem(study)
     if as_json:
         say(json.dumps(study.model_dump(mode="json", exclude_none=True), allow_nan=False))
     else:
-        say("\n".join(describe_study(study)))
+        say("\n".join([*describe_study(study), *describe_controller(study, problem)]))
 
 
 @app.command()
 @guarded
-def schema() -> None:
+def schema(
+    page: Annotated[
+        Path | None,
+        typer.Option(
+            "--page",
+            metavar="FILE",
+            help="Write the reference of the study file as a page of Markdown to FILE, and print nothing.",
+        ),
+    ] = None,
+) -> None:
     """Print the JSON schema of the study file, for editors."""
+    from fosopt.files import replacing
     from fosopt.study import Study
+    from fosopt.study.schema_page import study_file_page
 
-    say(json.dumps(Study.model_json_schema(), indent=2))
+    if page is None:
+        say(json.dumps(Study.model_json_schema(), indent=2))
+        return
+    with replacing(page) as temporary:
+        temporary.write_text(study_file_page(), encoding="utf-8")
 
 
 @app.command()
@@ -179,36 +172,10 @@ def new(
     say(f"wrote {path}; edit it, then: fosopt run {path}")
 
 
-@app.command()
-@guarded
-def export(
-    run_path: Annotated[
-        Path, typer.Argument(metavar="RUN", help="The directory of a run, or its run.sqlite.")
-    ],
-    target: Annotated[Format, typer.Option("--format", help="What to write.")],
-    out: Annotated[
-        Path | None,
-        typer.Option(
-            metavar="FILE",
-            help="The file to write; default front.csv, front.json or front.mat beside the record.",
-            show_default=False,
-        ),
-    ] = None,
-) -> None:
-    """Write the points of a run for other programs.
-
-    The run may be going on, or have been killed.
-    """
-    from fosopt import export as writers
-    from fosopt.study.store import RECORD, Store
-
-    record = run_path / RECORD if run_path.is_dir() else run_path
-    with Store.open(record) as store:
-        data = store.run()
-    path = record.with_name(f"front.{target}") if out is None else out
-    write = {Format.CSV: writers.write_csv, Format.JSON: writers.write_json, Format.MAT: writers.write_mat}
-    write[target](data, path)
-    say(f"wrote {path}")
-
-
+app.command(help=exporting.HELP)(exporting.export)
+app.command(help=runs.RESUME_HELP, epilog=EXIT_CODES)(runs.resume)
+app.command(help=runs.STATUS_HELP)(runs.status)
+app.command(help=runs.RERUN_HELP)(runs.rerun)
+app.command(help=runs.DIFF_HELP)(runs.diff)
+app.command()(doctor)
 app.command(help=reproduce.HELP, epilog=reproduce.EPILOG)(reproduce.reproduce)

@@ -16,11 +16,28 @@ from typing import ParamSpec
 
 import typer
 
-from fosopt.errors import FosoptError
+from fosopt.errors import FosoptError, StoppedError
 
 _P = ParamSpec("_P")
 _STOPPING = "fosopt: finishing what is at hand, then writing the results; Ctrl-C again aborts at once\n"
 _SHOW_CURSOR = "\r\x1b[K\x1b[?25h"
+
+
+Stop = Callable[[], bool]
+EXIT_CODES = """\b
+Exit codes:
+  0    finished; at least one point is verified and none failed
+  1    a defect of fosopt; FOSOPT_DEBUG=1 shows the traceback
+  2    wrong usage
+  3    the study file, a file it names, the record or the directory is at
+       fault
+  4    finished, but a point failed (no convergence, out of time or not
+       verified), or no point is verified
+  5    stopped by the machine (disk full, scheduler or workers lost); what
+       was finished is on disk, and 'fosopt resume' continues
+  130  interrupted; what was found so far is on disk, and 'fosopt resume'
+       continues
+"""
 
 
 class Code(IntEnum):
@@ -30,6 +47,7 @@ class Code(IntEnum):
     DEFECT = 1
     REFUSED = 3
     UNVERIFIED = 4
+    STOPPED = 5
     INTERRUPTED = 130
 
 
@@ -40,8 +58,11 @@ def guarded(command: Callable[_P, None]) -> Callable[_P, None]:
     def run(*args: _P.args, **kwargs: _P.kwargs) -> None:
         try:
             command(*args, **kwargs)
-        except typer.Exit:
+        except (typer.Exit, typer.BadParameter):
             raise
+        except StoppedError as error:
+            say(f"fosopt: {_one_line(str(error))}", error=True)
+            raise typer.Exit(Code.STOPPED) from None
         except FosoptError as error:
             _refuse(str(error))
         except OSError as error:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -78,7 +79,25 @@ def closing(run: _Run, out: Path, seconds: float) -> Iterator[str]:
     yield ", ".join(f"{number} {what}" for what, number in counts.items() if number or what == "verified") + (
         f" in {seconds:.1f} s"
     )
+    modes = run.get("provenance", {}).get("modes", "")
+    if "residual" in modes:
+        yield f"modes: {modes}; peak memory {_peak_gibibytes():.2f} GiB"
+        errors = [
+            point["truncation_error"].get("jitter_total") for point in points if point["truncation_error"]
+        ]
+        if worst := max((e for e in errors if e is not None), default=None):
+            yield f"truncation changes the total jitter by up to {100 * worst:.2g} %; numbers are the truth model's"
     yield f"open {out / REPORT} in a browser; numbers are in {out / TABLE} and {out / DATA}"
+
+
+def _peak_gibibytes() -> float:
+    """Largest resident memory of this process so far [GiB]."""
+    if sys.platform == "win32":
+        return float("nan")
+    import resource
+
+    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    return peak / (2**30 if sys.platform == "darwin" else 2**20)
 
 
 def _counts(points: Sequence[Mapping[str, Any]]) -> dict[str, int]:

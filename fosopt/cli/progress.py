@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import sys
+import threading
+import time
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -17,6 +19,7 @@ if TYPE_CHECKING:
     from fosopt.study.schema import Study
 
 Watch = Callable[["Progress"], None]
+_BEAT = 30.0  # seconds of silence after which a line says that the run goes on
 
 
 @dataclass(frozen=True)
@@ -86,12 +89,14 @@ def duration(seconds: float) -> str:
 
 
 def remaining(progress: Progress) -> str:
-    """How long the rest takes at the pace so far; empty before a point is solved."""
-    # The start design is the first point and takes no time worth counting.
-    if not 1 < progress.done < progress.total:
+    """How long the rest takes at the pace so far, and that pace; empty before a point is solved."""
+    # What was known before takes no time, and neither does the start design, which is the first point.
+    fresh = progress.done - max(progress.known, 1)
+    if fresh < 1 or progress.done >= progress.total or progress.seconds <= 0:
         return ""
-    pace = progress.seconds / (progress.done - 1)
-    return f"about {duration(pace * (progress.total - progress.done))} left"
+    pace = progress.seconds / fresh
+    rate = f"{60 / pace:.3g} points/min"
+    return f"{rate}, about {duration(pace * (progress.total - progress.done))} left"
 
 
 def finished(point: Mapping[str, Any], values: str) -> str:
@@ -112,35 +117,53 @@ def watching(study: Study) -> Iterator[Watch]:
         What the run calls.
     """
     tally = Tally(goals(study))
-    if not sys.stderr.isatty():
-        yield _lines(tally)
-        return
-    # rich takes a while to import, and only a terminal needs it.
-    from rich.console import Console
+    if sys.stderr.isatty():
+        # rich takes a while to import, and only a terminal needs it.
+        from rich.console import Console
 
-    console = Console(stderr=True)
-    if console.is_dumb_terminal:
-        yield _lines(tally)
-        return
-    with _bar(tally, console) as watch:
+        console = Console(stderr=True)
+        if not console.is_dumb_terminal:
+            with _bar(tally, console) as watch:
+                yield watch
+            return
+    with _lines(tally) as watch:
         yield watch
 
 
-def _lines(tally: Tally) -> Watch:
-    stage = ""
+@contextmanager
+def _lines(tally: Tally) -> Iterator[Watch]:
+    stage = head = ""
+    began = said = time.monotonic()
+    over = threading.Event()
 
     def watch(progress: Progress) -> None:
-        nonlocal stage
+        nonlocal stage, head, said
+        head = f"[{progress.done}/{progress.total}]"
         if progress.point is not None:
             tally.count(progress.point)
             line = finished(progress.point, tally.values(progress.point))
             times = ", ".join(part for part in (duration(progress.seconds), remaining(progress)) if part)
-            say(f"[{progress.done}/{progress.total}] {line} ({times})", error=True)
+            say(f"{head} {line} ({times})", error=True)
         elif progress.stage != stage:
-            say(f"[{progress.done}/{progress.total}] {progress.stage}", error=True)
-        stage = progress.stage
+            say(f"{head} {progress.stage}", error=True)
+        stage, said = progress.stage, time.monotonic()
 
-    return watch
+    def beat() -> None:
+        """Say now and then that the run goes on, where no point has said so."""
+        while not over.wait(_BEAT / 10):
+            nonlocal said
+            if time.monotonic() - said >= _BEAT:
+                said = time.monotonic()
+                parts = [f"{head} at work for {duration(said - began)}", tally.summary()]
+                say("; ".join(part for part in parts if part).strip(), error=True)
+
+    heart = threading.Thread(target=beat, name="fosopt-heartbeat", daemon=True)
+    heart.start()
+    try:
+        yield watch
+    finally:
+        over.set()
+        heart.join()
 
 
 @contextmanager

@@ -22,9 +22,10 @@ def pace(progress: Progress) -> str:
     """Points per second so far, and how long the rest takes at that pace."""
     from fosopt.cli.progress import duration
 
-    if not progress.done or not progress.seconds:
+    fresh = progress.done - progress.known
+    if fresh < 1 or progress.seconds <= 0:
         return ""
-    rate = progress.done / progress.seconds
+    rate = fresh / progress.seconds
     left = (progress.total - progress.done) / rate
     return f"{rate:.3g} points/s" + (
         f", about {duration(left)} left" if progress.done < progress.total else ""

@@ -1,4 +1,4 @@
-"""A run as files for other tools."""
+"""A run or a design as files for other tools."""
 
 from fosopt.export.matlab import write_mat
 from fosopt.export.netcdf import write_netcdf

@@ -88,7 +88,7 @@ def write_mat(run: Mapping[str, Any], path: Path) -> None:
             texts,
         ),
         "units": _struct({name: units[name] for name in named if name in units}, str),
-        "provenance": _struct(run["provenance"], str),
+        "provenance": struct_of_texts(run["provenance"]),
     }
     with written_to(path) as temporary, temporary.open("wb") as stream:
         savemat(stream, content, long_field_names=True, do_compression=True)
@@ -99,6 +99,11 @@ def _field(name: str, taken: Iterable[str] = ()) -> str:
     plain = words(name)
     plain = plain if plain[:1].isalpha() else f"x_{plain}"
     return free(plain[: _LONGEST_NAME - 4], taken) if len(plain) > _LONGEST_NAME else free(plain, taken)
+
+
+def struct_of_texts(values: Mapping[str, Any]) -> dict[str, str]:
+    """A struct of texts under names that MATLAB takes."""
+    return _struct(values, str)
 
 
 def _struct(values: Mapping[str, Any], make: Callable[[Any], Any]) -> dict[str, Any]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 from fnmatch import fnmatchcase
 from math import inf
 from typing import Any
@@ -18,13 +19,15 @@ from fosopt.actuators import (
     ReactionMassActuator,
 )
 from fosopt.control import PID, Loop, gain_for_crossover
+from fosopt.control.discrete import discrete_controller
 from fosopt.errors import FosoptError, StudyError
 from fosopt.expressions import Expression
 from fosopt.metrics import disturbances as shaping
+from fosopt.metrics.peaks import torque_at_once
 from fosopt.metrics.step import StepCommand
-from fosopt.modes import Damping, Hub
+from fosopt.modes import Damping, Hub, modes_below
 from fosopt.ops import Array
-from fosopt.problem import Constraint, Definitions, Design, ModeSelection, Problem, System, Variable
+from fosopt.problem import LARGE, Constraint, Definitions, Design, ModeSelection, Problem, System, Variable
 from fosopt.structure import (
     Bar,
     Batten,
@@ -42,9 +45,19 @@ from fosopt.structure import (
     structure_inertia,
     two_body_stiffness,
 )
+from fosopt.structure.imported import ImportedModes
 from fosopt.study import schema, schema_structures, schema_system, schema_truss
+from fosopt.study.axes import check_other_axis
+from fosopt.study.build_loop import mirror_limits, signal_path
 from fosopt.study.files import read_damping, read_psd
+from fosopt.study.imports import imported_damping, imported_structure, read_imported, refuse_riding
+from fosopt.study.schema_imports import Imported
 from fosopt.study.schema_names import MEMBERS
+
+# Modes that a large truss keeps where the study says nothing: those below twice the mirror's frequency, but of a number
+# that tells something and can be waited for.
+_BEYOND = 2.0
+_FEWEST, _MOST = 100, 400
 
 
 def build_problem(study: schema.Study) -> Problem:
@@ -56,10 +69,13 @@ def build_problem(study: schema.Study) -> Problem:
         For what physics does not allow, with the line of the section at fault.
     """
     with _at(study, "structure"):
-        structure = _structure(study.structure, study.mirror.port)
+        imported = read_imported(study)
+        structure = _structure(study.structure, imported, study.mirror.port)
     base = _base(study, structure)
+    with _at(study, "mirror", "mass"):
+        refuse_riding(study, structure, base.mirror_mass)
     with _at(study, "damping"):
-        damping = _damping(study)
+        damping = _damping(study, imported)
     hub = Hub(study.hub.type, study.hub.bandwidth or 0.0, study.hub.damping_ratio or 0.0)
     disturbances = []
     for k, each in enumerate(study.disturbances):
@@ -69,8 +85,15 @@ def build_problem(study: schema.Study) -> Problem:
     if study.step is not None:
         with _at(study, "step"):
             step = StepCommand(study.step.command, study.step.window)
-    system = System(structure, study.mirror.port, hub, damping, tuple(disturbances), step, _selection(study))
+    with _at(study, "modes"):
+        selection = _selection(study, structure, base)
+    system = System(structure, study.mirror.port, hub, damping, tuple(disturbances), step, selection)
+    with _at(study, "modes"):
+        _ = system.truncated
     variables = tuple(_variable(study, structure, base, k) for k in range(len(study.variables)))
+    retargeting, checks = mirror_limits(study)
+    # Sweeps optimize nothing: they see the loop as built at once.
+    system = replace(system, retargeting=retargeting, as_built=study.kind == "sweep")
     definitions = Definitions(study.mirror.inertia_ratio, study.controller.crossover)
     constraints = []
     for k, given in enumerate(study.constraints):
@@ -80,7 +103,7 @@ def build_problem(study: schema.Study) -> Problem:
             constraints.append(Constraint(given.metric, lower, upper))
     objectives: tuple[Expression, ...] = tuple(o.minimize for o in study.objectives)
     with _at(study, "variables"):
-        problem = Problem(system, base, variables, objectives, tuple(constraints), definitions)
+        problem = Problem(system, base, variables, objectives, tuple(constraints), definitions, checks)
     _check_start(study, problem)
     return problem
 
@@ -117,12 +140,20 @@ def _check_start(study: schema.Study, problem: Problem) -> None:
         frequencies = evaluation.all_modes.natural_frequency
     with _at(study, "modes"):
         problem.system.selection.of(frequencies)
+    if study.mirror.other_axis is not None:
+        with _at(study, "mirror", "other_axis"):
+            check_other_axis(study.mirror.other_axis, problem, start_vector(study, problem))
     for k, disturbance in enumerate(problem.system.disturbances):
         with _at(study, "disturbances", k):
             shaping.refuse_infinite_variance(disturbance, evaluation.design.loop, drifting)
 
 
-def _structure(given: schema_structures.Structure, mirror_port: str) -> Structure:
+def _structure(
+    given: schema_structures.Structure, imported: ImportedModes | None, mirror_port: str
+) -> Structure:
+    if isinstance(given, Imported):
+        assert imported is not None
+        return imported_structure(given, imported, mirror_port)
     if isinstance(given, schema_structures.Beam):
         beam = Beam(
             given.length,
@@ -198,10 +229,18 @@ def _base(study: schema.Study, structure: Structure) -> Design:
         counter = None if shares is None else MirrorReactionMass(**shares.model_dump())
         mirror = Mirror(inertia, frequency, given.damping_ratio, counter)
     lag = 1 / pid.rolloff if pid.rolloff is not None else 0.0
-    gain = pid.gain
+    path, gain = signal_path(study), pid.gain
     if gain is None:
-        gain = float(gain_for_crossover(pid.crossover, mirror, pid.kp, pid.ki, pid.kd, lag))
-    controller = PID(gain, pid.kp, pid.ki, pid.kd, lag)
+        gain = float(gain_for_crossover(pid.crossover, mirror, pid.kp, pid.ki, pid.kd, lag, path))
+    controller = PID(gain, pid.kp, pid.ki, pid.kd, lag, path)
+    if path.sampling is not None:
+        with _at(study, "controller", "sampling"):
+            discrete_controller(controller)
+    elif study.limits is not None and study.limits.torque is not None and np.isinf(torque_at_once(controller)):
+        raise study.error(
+            "without a roll-off of the derivative a step asks for an infinite torque; add 'rolloff' to the controller",
+            *("limits", "torque"),
+        )
     loop = Loop(mirror, controller, _placement(study, structure), tuple(_actuators(study, structure)))
     return Design(area, batten_mass, structure.spring_stiffness, mirror_mass, loop)
 
@@ -241,8 +280,19 @@ def _actuators(study: schema.Study, structure: Structure) -> Iterator[ReactionMa
             )
 
 
-def _damping(study: schema.Study) -> Damping:
+def _damping(study: schema.Study, imported: ImportedModes | None) -> Damping:
+    given = _given_damping(study)
+    if imported is not None:
+        return imported_damping(imported, given)
+    assert given is not None
+    return given
+
+
+def _given_damping(study: schema.Study) -> Damping | None:
+    """The damping model the study states; None where the structure's file has it."""
     given = study.damping
+    if given.imported:
+        return None
     if given.uniform is not None:
         return Damping((given.uniform,))
     if given.per_mode is not None:
@@ -251,12 +301,22 @@ def _damping(study: schema.Study) -> Damping:
     return Damping(table.damping_ratio, table.frequency)
 
 
-def _selection(study: schema.Study) -> ModeSelection:
+def _selection(study: schema.Study, structure: Structure, base: Design) -> ModeSelection:
+    """The modes to keep; of a large truss always a number, fixed at the start design."""
     modes = study.modes
-    if modes is None:
+    large = len(structure.dofs) > LARGE and bool(structure.truss.bars)
+    if modes is None and not large:
         return ModeSelection()
-    keep = None if modes.keep is None else tuple(k - 1 for k in modes.keep)
-    return ModeSelection(modes.count, modes.below, keep)
+    if modes is not None and (modes.below is None or not large):
+        keep = None if modes.keep is None else tuple(k - 1 for k in modes.keep)
+        return ModeSelection(modes.count, modes.below, keep)
+    below = _BEYOND * base.loop.mirror.natural_frequency if modes is None else modes.below
+    assert below is not None
+    sizes = base.area, base.batten_mass, base.mirror_mass
+    count = modes_below(structure, *sizes, below)
+    if modes is not None:
+        return ModeSelection(count)
+    return ModeSelection(min(max(count, _FEWEST), _MOST))
 
 
 def _disturbance(study: schema.Study, given: schema_system.Disturbance) -> shaping.Disturbance:
@@ -264,7 +324,13 @@ def _disturbance(study: schema.Study, given: schema_system.Disturbance) -> shapi
     if given.filter is None:
         table = read_psd(study, given)
         return shaping.Disturbance(
-            given.name, given.at, None, np.array(table.frequency), np.array(table.psd), band
+            given.name,
+            given.at,
+            None,
+            np.array(table.frequency),
+            np.array(table.psd),
+            band,
+            table.interpolation,
         )
     return shaping.Disturbance(given.name, given.at, _filter(given.filter), band=band)
 

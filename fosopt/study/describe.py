@@ -7,6 +7,8 @@ from collections.abc import Iterable, Iterator
 from fosopt.expressions import Expression, parse_expression
 from fosopt.study.schema import Study, Variable
 from fosopt.study.schema_actuators import Actuator
+from fosopt.study.schema_certificates import Certificates
+from fosopt.study.schema_imports import structure_files
 from fosopt.study.schema_names import MEMBERS, SIGNAL
 from fosopt.study.schema_rules import dimension_of, expression_dimension, variable_dimension
 from fosopt.study.schema_structures import Structure
@@ -72,6 +74,23 @@ def _problem(study: Study) -> Iterator[str]:
         yield f"{'case':<12}{case.name}: free {free}"
     for name, value in study.requirements.items():
         yield f"{'required':<12}{name} ≤ {_amount(study, parse_expression(name), value)}"
+    if study.requirement_line is not None:
+        yield f"{'required':<12}cumulative jitter below the line of {study.requirement_line}"
+    if study.certificates is not None:
+        for k, text in enumerate(_bounds(study.certificates)):
+            yield f"{'' if k else 'bounded':<12}{text}"
+
+
+def _bounds(asked: Certificates) -> Iterator[str]:
+    if asked.structure:
+        yield "mass by requirements and by first frequency"
+    if asked.receptance is not None:
+        at = show(asked.receptance.frequency, "frequency") if asked.receptance.frequency else "zero frequency"
+        yield f"mass by receptance of port {asked.receptance.port} at {at}"
+    if asked.any_controller:
+        yield "jitter of any controller"
+    if asked.pid is not None:
+        yield f"jitter of any PID in the box to {100 * asked.pid.gap:g} %, {asked.pid.time_limit:g} s per point"
 
 
 def _sweep(sweep: Sweep) -> Iterator[str]:
@@ -157,6 +176,9 @@ def _system(study: Study) -> Iterator[str]:
         flexure = f"flexure of {show(mirror.stiffness or 0, 'rotational_stiffness')}"
     damping = f"damping ratio {mirror.damping_ratio:g}"
     yield f"mirror      at port {mirror.port}: mass {mass}, inertia {inertia}, {flexure}, {damping}"
+    if mirror.other_axis is not None:
+        other = mirror.other_axis.port
+        yield f"            as well about {other}: alike and uncoupled, verified; √2 of the jitter in both"
     shares = mirror.reaction_mass
     if shares is not None:
         yield (
@@ -205,6 +227,10 @@ def _structure(structure: Structure) -> str:
             size = f"{show(structure.length, 'length')}, {show(structure.mass_per_length, 'mass_per_length')}"
             modes = f"{structure.lateral_modes} lateral and {structure.longitudinal_modes} longitudinal modes"
             return f"uniform beam of {size}, {structure.boundary}, {modes}"
+        case "modal_set" | "matrices":
+            kind = "modal set" if structure.type == "modal_set" else "matrices"
+            files = " and ".join(dict.fromkeys(structure_files(structure)))
+            return f"{kind} of {files}, {show(structure.structural_mass, 'mass')}"
         case _:
             bodies = " - ".join(f"{body.name} {show(body.inertia, 'inertia')}" for body in structure.bodies)
             return f"chain of bodies and springs, {'held' if structure.held else 'free'}: {bodies}"
@@ -216,6 +242,8 @@ def _damping(study: Study) -> str:
         return f"ratio {damping.uniform:g} of every structural mode"
     if damping.per_mode is not None:
         return f"ratios of {len(damping.per_mode)} modes"
+    if damping.imported:
+        return "ratios of the structure's file"
     return (
         f"table {damping.table}"
         if isinstance(damping.table, str)
@@ -226,7 +254,7 @@ def _damping(study: Study) -> str:
 def _modes(study: Study) -> str:
     modes = study.modes
     if modes is None:
-        return "all"
+        return "all; of a large truss the lowest, with residual flexibility"
     if modes.keep is not None:
         return ", ".join(str(k) for k in modes.keep)
     return (
@@ -238,7 +266,7 @@ def _modes(study: Study) -> str:
 
 def _disturbance(disturbance: Disturbance) -> str:
     spectrum = (
-        f"PSD of {disturbance.psd}"
+        f"{'PSD' if disturbance.psd else 'cumulative rms'} of {disturbance.table}"
         if disturbance.filter is None
         else _filter(disturbance.filter, disturbance.at)
     )
@@ -246,7 +274,7 @@ def _disturbance(disturbance: Disturbance) -> str:
     if disturbance.band is not None:
         lower, upper = (edge / HZ for edge in disturbance.band)
         band = f"{lower:.6g} to {upper:.6g} Hz"
-    elif disturbance.psd is not None:
+    elif disturbance.table is not None:
         band = "the table's range"
     return f"{disturbance.name}: {disturbance.at.replace('_', ' ')}, {spectrum}, over {band}"
 

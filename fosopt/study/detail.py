@@ -1,4 +1,7 @@
-"""What a report shows of one design: geometry, modes, loop, jitter by source, step, poles."""
+"""What a report shows of one design: structure, modes, loop, jitter by source and by mode, step, poles.
+
+Curves are computed finely enough for every resonance and then kept at what can be seen of them, see `curves`.
+"""
 
 from __future__ import annotations
 
@@ -9,40 +12,63 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fosopt.control import closed_loop_response, loop_transfer
+from fosopt.control.loop_phase import loop_phase, loop_transfer_roots
+from fosopt.control.phase import resonance_grid
+from fosopt.errors import SolverError
 from fosopt.metrics import inertias
 from fosopt.metrics.margins import frequency_grid
-from fosopt.metrics.step import step_response
-from fosopt.ops import Array
+from fosopt.metrics.spectrum import JitterSpectrum, jitter_spectrum
+from fosopt.metrics.transient import Transient, step_error
+from fosopt.ops import Array, ComplexArray
 from fosopt.problem import Evaluation
-from fosopt.structure import Truss
+from fosopt.structure import Structure, Truss
+from fosopt.study.curves import visible
 
 _MODES = 40  # rows of the mode table: the lowest ones
-_CURVE = 600  # points of a curve, after those that resolve nothing are dropped
-_STEP = 400
+_GRID = 240  # frequencies of a curve beside those at its resonances
+_FLOOR = 80.0  # [dB] below which a sensitivity is not drawn
+_DECADES = 6.0  # of a spectrum below its peak
+_DRAWN_MODES = 5  # with a curve of their own; the others share one
+_LISTED_MODES = 12
+_SAME_MODE = 1e-9  # of two squared frequencies
+# Of a step: samples per period of the fastest oscillation that can be seen, and at most in all.
+_PER_PERIOD, _MOST, _SEEN = 12, 20_000, 1e-3
 
 
 def detail_of(evaluation: Evaluation) -> dict[str, Any]:
     """The ``detail`` of a point of the run data; curves that an unstable loop does not have are left out."""
+    structure = evaluation.system.structure
     found: dict[str, Any] = {
-        "truss": _truss(evaluation.system.structure.truss, evaluation.design.area),
+        "truss": _truss(structure.truss, evaluation.design.area),
+        "structure": _plain_structure(structure),
+        "places": _places(evaluation),
         "modes": _modes(evaluation),
         "bode": _bode(evaluation),
-        "poles": [_short(np.array([p.real, p.imag])) for p in np.sort_complex(evaluation.poles.all)],
+        "poles": [
+            _short(np.array([p.real, p.imag])) for p in np.sort_complex(evaluation.poles.all) if p.imag >= 0
+        ],
         "jitter": {},
+        "spectrum": None,
         "cumulative": None,
+        "by_mode": None,
         "step": None,
     }
     if evaluation.stable:
         names = [f"jitter_{d.name}" for d in evaluation.system.disturbances]
         found["jitter"] = {name.removeprefix("jitter_"): evaluation.value(name) for name in names}
-        found["cumulative"] = _cumulative(evaluation)
+    # Curves are those of the continuous model, which of a sampled loop may be unstable by itself.
+    if evaluation.stable and evaluation.poles.spectral_abscissa < 0:
+        found |= _jitter(evaluation, found["modes"])
         found["step"] = _step(evaluation)
     return found
 
 
+# ---- structure ----
+
+
 def _truss(truss: Truss, area: Array) -> dict[str, Any] | None:
-    if not truss.bars:
-        return None  # a beam or a chain: there is nothing to draw
+    if not (truss.bars or truss.battens):
+        return None
     index = {name: i for i, name in enumerate(truss.nodes)}
     return {
         "nodes": [[float(x) for x in xyz] for xyz in truss.nodes.values()],
@@ -56,6 +82,66 @@ def _truss(truss: Truss, area: Array) -> dict[str, Any] | None:
             for a, b in zip(batten.nodes[:-1], batten.nodes[1:], strict=True)
         ],
     }
+
+
+def _plain_structure(structure: Structure) -> dict[str, Any] | None:
+    """A beam or a chain, which have no bars; None of a truss, and of an imported model, which has no picture."""
+    truss = structure.truss
+    if truss.bars or truss.battens:
+        return None
+    if structure.dofs[0].startswith("lateral."):
+        stations = {name: float(xyz[0]) for name, xyz in truss.nodes.items()}
+        return {
+            "kind": "beam",
+            "length": stations["tip"],
+            "stations": stations,
+            "held": not np.any(structure.stiffness_constant == 0),
+        }
+    turning = {f"{name}.rz" for name in truss.nodes}
+    if not set(structure.dofs) <= turning or structure.stiffness_constant.size != len(turning) - 1:
+        return None
+    return {
+        "kind": "chain",
+        "bodies": list(truss.nodes),
+        "inertias": structure.mass_constant.tolist(),
+        "springs": structure.stiffness_constant.tolist(),
+        "held": len(structure.dofs) < len(truss.nodes),
+    }
+
+
+def _places(evaluation: Evaluation) -> list[dict[str, Any]]:
+    """Where things are attached: name, port and place of hub, mirror, actuators and supports."""
+    system, loop = evaluation.system, evaluation.design.loop
+    truss = system.structure.truss
+    named = {"hub": "hub", system.mirror_port: "mirror"}
+    named |= {actuator.port: "actuator" for actuator in loop.actuators}
+    found = []
+    for port, kind in named.items():
+        at = truss.ports.get(port, (port.rpartition(".")[0], ""))[0]
+        where = _where(truss, at)
+        if where is not None:
+            found.append({"kind": kind, "port": port, "at": at, "xyz": where})
+    for at in truss.supports:
+        where = _where(truss, at)
+        if where is not None:
+            found.append(
+                {"kind": "support", "port": ".".join([at, *truss.supports[at]]), "at": at, "xyz": where}
+            )
+    return found
+
+
+def _where(truss: Truss, at: str) -> list[float] | None:
+    """Coordinates of a node or of the middle of a batten [m]."""
+    if at in truss.nodes:
+        return [float(x) for x in truss.nodes[at]]
+    for batten in truss.battens:
+        if batten.name == at:
+            middle = np.mean([truss.nodes[node] for node in batten.nodes], axis=0)
+            return [float(x) for x in (middle if batten.center is None else batten.center)]
+    return None
+
+
+# ---- modes and loop ----
 
 
 def _modes(evaluation: Evaluation) -> list[dict[str, Any]]:
@@ -78,9 +164,175 @@ def _modes(evaluation: Evaluation) -> list[dict[str, Any]]:
                 "effective_modal_reaction_inertia": float(coupled.effective_modal_reaction_inertia[k]),
                 "pole_zero_separation": None if mirror else _finite(coupled.pole_zero_separation[k]),
                 "modal_inertia": None if paired is None else _finite(inertia[paired]),
+                "jitter_share": None,
             }
         )
     return rows
+
+
+def _with_shares(rows: list[dict[str, Any]], evaluation: Evaluation, found: JitterSpectrum) -> None:
+    """Write the share in the mean square jitter into the rows of structural modes that have one."""
+    total = float(found.by_source[:, -1].sum())
+    for row, zero in zip(rows, evaluation.coupled.zero, strict=False):
+        # Coupled mode and closed-loop pole are both shifted from one mode of the structure.
+        here = np.isclose(np.abs(found.origin) ** 2, zero, rtol=_SAME_MODE, atol=0)
+        if np.count_nonzero(here) == 1 and total > 0:
+            row["jitter_share"] = float(found.by_mode[here, -1][0]) / total
+
+
+def _bode(evaluation: Evaluation) -> dict[str, list[float] | None]:
+    """Loop transfer and sensitivities; no phase where a zero of the loop cannot be found."""
+    model, loop = evaluation.model, evaluation.design.loop
+    grid = frequency_grid(model, evaluation.poles, _GRID)
+    roots: tuple[ComplexArray, ComplexArray] | None
+    try:
+        roots = loop_transfer_roots(loop, evaluation.modes, model.mirror_port)
+        grid = np.union1d(grid, resonance_grid(np.concatenate(roots), grid[0], grid[-1], 2))
+    except SolverError:
+        roots = None
+    s = 1j * grid
+    g = model.points(s).g
+    transfer = loop_transfer(loop, s, g)
+    phase = None
+    if roots is not None:
+        try:
+            phase = loop_phase(*roots, transfer, grid)
+        except SolverError:
+            phase = None
+    curves = [
+        np.abs(transfer),
+        np.abs(closed_loop_response("line_of_sight", loop, s, g)),
+        np.abs(closed_loop_response("command", loop, s, g)),
+    ]
+    loop_level, *levels = (20 * np.log10(np.maximum(curve, 1e-300)) for curve in curves)
+    both = np.maximum(levels, -_FLOOR)
+    kept = visible(np.log10(grid), loop_level, both, *([] if phase is None else [phase]))
+    magnitude, sensitivity, complementary = (_short(curve[kept]) for curve in curves)
+    return {
+        "frequency_hz": _short(grid[kept] / (2 * pi)),
+        "loop_magnitude": magnitude,
+        "loop_phase_deg": None if phase is None else _short(phase[kept]),
+        "sensitivity": sensitivity,
+        "complementary_sensitivity": complementary,
+    }
+
+
+# ---- jitter ----
+
+
+def _jitter(evaluation: Evaluation, rows: list[dict[str, Any]]) -> dict[str, Any]:
+    """Spectra of the line of sight: by source, below each frequency, and by mode, which `rows` learn of too."""
+    disturbances = evaluation.system.disturbances
+    if not disturbances:
+        return {}
+    found = jitter_spectrum(evaluation.model, evaluation.poles, disturbances)
+    _with_shares(rows, evaluation, found)
+    total = found.by_source.sum(axis=0)
+    slow = np.abs(evaluation.poles.all).min()
+    shown = (found.frequency >= 0.1 * slow) & (found.frequency <= 20 * np.abs(evaluation.poles.all).max())
+    shown &= total > 0
+    names = [d.name for d in disturbances]
+    return {
+        "spectrum": _spectrum(found, names, shown),
+        "cumulative": _cumulative(evaluation, found, names, shown),
+        "by_mode": _by_mode(found, shown),
+    }
+
+
+def _spectrum(found: JitterSpectrum, names: list[str], shown: NDArray[np.bool_]) -> dict[str, list[float]]:
+    """Amplitude spectral density of the line of sight by source [rad/√Hz]."""
+    grid = found.frequency[shown]
+    curves = np.sqrt(np.vstack([found.density, found.density.sum(axis=0)])[:, shown])
+    # What lies more than six decades below the peak is as good as nothing.
+    curves = np.maximum(curves, curves.max() * 10**-_DECADES)
+    kept = visible(np.log10(grid), np.log10(curves))
+    return _table(grid[kept], [*names, "total"], curves[:, kept])
+
+
+def _cumulative(
+    evaluation: Evaluation, found: JitterSpectrum, names: list[str], shown: NDArray[np.bool_]
+) -> dict[str, list[float]]:
+    """Root of the mean square jitter below each frequency, by source and in total [rad]."""
+    exact = np.array([evaluation.variances[f"jitter_{name}"].value for name in names])
+    # The quadrature agrees to many digits; the last point is the number that stands in the tables.
+    share = exact / np.maximum(found.by_source[:, -1], 1e-300)
+    squares = found.by_source[:, shown] * share[:, None]
+    squares[:, -1] = exact
+    curves = np.sqrt(np.maximum(np.vstack([squares, squares.sum(axis=0)]), 0.0))
+    grid = found.frequency[shown]
+    kept = visible(np.log10(grid), curves)
+    return _table(grid[kept], [*names, "total"], curves[:, kept])
+
+
+def _by_mode(found: JitterSpectrum, shown: NDArray[np.bool_]) -> dict[str, Any]:
+    """Shares of the structure's modes in the mean square, in all and below each frequency [-]."""
+    total = float(found.by_source[:, -1].sum())
+    shares = found.by_mode / total
+    order = np.argsort(-np.abs(shares[:, -1]), kind="stable")
+    drawn, rest = order[:_DRAWN_MODES], order[_DRAWN_MODES:]
+    curves = np.vstack([shares[drawn], shares[rest].sum(axis=0), found.by_loop / total])
+    ends = curves[:, -1].copy()
+    curves, grid = curves[:, shown], found.frequency[shown]
+    curves[:, -1] = ends
+    kept = visible(np.log10(grid), curves)
+    names = [f"mode {k + 1}" for k in range(drawn.size)]
+    return {
+        "modes": [
+            {
+                "frequency_hz": float(np.abs(found.pole[k])) / (2 * pi),
+                "damping_ratio": float(-found.pole[k].real / np.abs(found.pole[k])),
+                "structure_frequency_hz": float(np.abs(found.origin[k])) / (2 * pi),
+                "share": float(shares[k, -1]),
+            }
+            for k in order[:_LISTED_MODES]
+        ],
+        "other_modes": float(shares[order[_LISTED_MODES:], -1].sum()),
+        "count": int(order.size),
+        "loop": float(found.by_loop[-1] / total),
+        "cumulative": _table(grid[kept], [*names, "other modes", "loop"], curves[:, kept]),
+    }
+
+
+def _table(frequency: Array, names: list[str], curves: Array) -> dict[str, list[float]]:
+    rows = {name: _short(curve) for name, curve in zip(names, curves, strict=True)}
+    return {"frequency_hz": _short(frequency / (2 * pi)), **rows}
+
+
+# ---- step ----
+
+
+def _step(evaluation: Evaluation) -> dict[str, Any] | None:
+    """Response to the step command, and its error in the window closely."""
+    step = evaluation.system.step
+    if step is None:
+        return None
+    error = step_error(evaluation.model, evaluation.poles)
+    start, end = step.window
+    time, response = _sampled(error, 0.0, end)
+    within, closely = _sampled(error, start, end)
+    response[0] = -1.0  # what is commanded takes time
+    return {
+        "time_s": _short(time),
+        "response": _short(step.command * (1 + response)),
+        "window": list(step.window),
+        "command": step.command,
+        "window_time_s": _short(within),
+        "window_error": _short(step.command * closely),
+        "mean": step.command * error.mean(start, end),
+        "rms": step.command * error.rms(start, end),
+    }
+
+
+def _sampled(error: Transient, start: float, end: float) -> tuple[Array, Array]:
+    """The error between two times, with every oscillation that can be seen."""
+    size = np.abs(error.amplitude) * np.exp(error.pole.real * start)
+    seen = error.pole[size > _SEEN * size.max(initial=0.0)]
+    fastest = np.abs(seen).max(initial=0.0) / (2 * pi)
+    count = int(np.clip(_PER_PERIOD * fastest * (end - start), 400, _MOST))
+    time = np.linspace(start, end, count)
+    values = error(time)
+    kept = visible(time, values)
+    return time[kept], values[kept]
 
 
 def _short(values: Array) -> list[float]:
@@ -90,73 +342,3 @@ def _short(values: Array) -> list[float]:
 
 def _finite(value: float) -> float | None:
     return float(value) if np.isfinite(value) else None
-
-
-def _bode(evaluation: Evaluation) -> dict[str, list[float]]:
-    grid = _thinned(frequency_grid(evaluation.model, evaluation.poles, count=240), _CURVE)
-    s = 1j * grid
-    g = evaluation.model.points(s).g
-    loop = evaluation.design.loop
-    transfer = loop_transfer(loop, s, g)
-    return {
-        "frequency_hz": _short(grid / (2 * pi)),
-        "loop_magnitude": _short(np.abs(transfer)),
-        "loop_phase_deg": _short(_continuous_phase(transfer)),
-        "sensitivity": _short(np.abs(closed_loop_response("line_of_sight", loop, s, g))),
-        "complementary_sensitivity": _short(np.abs(closed_loop_response("command", loop, s, g))),
-    }
-
-
-def _continuous_phase(transfer: NDArray[np.complex128]) -> Array:
-    """Phase [deg] without jumps of a turn; the grid resolves every resonance."""
-    return np.asarray(np.degrees(np.unwrap(np.angle(transfer))))
-
-
-def _thinned(grid: Array, count: int) -> Array:
-    """At most about `count` of the frequencies, none from about a resonance that is worth seeing."""
-    if grid.size <= count:
-        return grid
-    keep = np.unique(np.linspace(0, grid.size - 1, count).astype(int))
-    return grid[keep]
-
-
-def _cumulative(evaluation: Evaluation) -> dict[str, list[float]] | None:
-    """Root of the cumulative mean square jitter below each frequency, by source and in total [rad]."""
-    system = evaluation.system
-    if not system.disturbances:
-        return None
-    grid = _thinned(frequency_grid(evaluation.model, evaluation.poles, count=400), 3 * _CURVE)
-    s = 1j * grid
-    g = evaluation.model.points(s).g
-    loop = evaluation.design.loop
-    total = np.zeros(grid.size)
-    curves = {}
-    for d in system.disturbances:
-        response = np.abs(closed_loop_response(d.at, loop, s, g)) ** 2
-        low, high = d.counted
-        density = np.where((grid >= low) & (grid <= high), d.one_sided_psd(grid) * response, 0.0) / (2 * pi)
-        grown = np.concatenate([[0.0], np.cumsum(0.5 * (density[1:] + density[:-1]) * np.diff(grid))])
-        # The curve ends at the exact variance: trapezoids on this grid are good for a picture only.
-        exact = evaluation.variances[f"jitter_{d.name}"].value
-        curves[d.name] = grown * (exact / grown[-1] if grown[-1] > 0 else 0.0)
-        total += curves[d.name]
-    curves["total"] = total
-    chosen = np.unique(np.linspace(0, grid.size - 1, _CURVE).astype(int))
-    found = {"frequency_hz": _short(grid[chosen] / (2 * pi))}
-    return found | {name: _short(np.sqrt(curve[chosen])) for name, curve in curves.items()}
-
-
-def _step(evaluation: Evaluation) -> dict[str, Any] | None:
-    step = evaluation.system.step
-    if step is None:
-        return None
-    time = np.concatenate([[0.0], np.linspace(0, step.window[1], _STEP)[1:]])
-    response = np.concatenate(
-        [[0.0], step.command * step_response(evaluation.model, evaluation.poles, time[1:])]
-    )
-    return {
-        "time_s": _short(time),
-        "response": _short(response),
-        "window": list(step.window),
-        "command": step.command,
-    }

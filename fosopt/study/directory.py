@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 import hashlib
-import platform
 import shutil
 from collections.abc import Callable, Mapping
-from importlib import metadata
 from pathlib import Path
 from typing import Any
 
@@ -14,15 +12,17 @@ from fosopt.errors import StudyError
 from fosopt.export import write_csv, write_json
 from fosopt.problem import Problem
 from fosopt.report import write_report
-from fosopt.study.files import side_files
+from fosopt.study.files import read_requirement_line, side_files
 from fosopt.study.load import dump_study
+from fosopt.study.lock import LOCK
+from fosopt.study.provenance import environment, machine, revision
 from fosopt.study.schema import Study
+from fosopt.study.schema_imports import with_structure_files
 from fosopt.study.schema_names import BOUNDS
 from fosopt.study.schema_rules import expression_dimension, known_metrics, variable_dimension
 from fosopt.units import DIMENSIONLESS, Vector, column, dimension_name, display
 
 _INPUTS = "inputs"
-_LIBRARIES = ("fosopt", "casadi", "numpy", "scipy")
 
 
 def make_directory(out: Path) -> None:
@@ -33,7 +33,8 @@ def make_directory(out: Path) -> None:
     StudyError
         If it holds something already, or cannot be written.
     """
-    if out.exists() and (not out.is_dir() or any(out.iterdir())):
+    taken = not out.is_dir() or any(path.name != LOCK for path in out.iterdir()) if out.exists() else False
+    if taken:
         raise StudyError(f"output '{out}' exists and is not an empty directory; choose another with --out")
     try:
         out.mkdir(parents=True, exist_ok=True)
@@ -65,19 +66,35 @@ def with_inputs(study: Study, out: Path) -> Study:
 def _renamed(study: Study, rename: Callable[[str], str]) -> Study:
     """The study with other names for its side files."""
     disturbances = tuple(
-        d if d.psd is None else d.model_copy(update={"psd": rename(d.psd)}) for d in study.disturbances
+        d.model_copy(
+            update={
+                key: rename(name)
+                for key in ("psd", "cumulative_rms")
+                if (name := getattr(d, key)) is not None
+            }
+        )
+        for d in study.disturbances
     )
     damping = study.damping
     if isinstance(damping.table, str):
         damping = damping.model_copy(update={"table": rename(damping.table)})
-    return study.model_copy(update={"disturbances": disturbances, "damping": damping})
+    structure = with_structure_files(study.structure, rename)
+    changes: dict[str, Any] = {"disturbances": disturbances, "damping": damping, "structure": structure}
+    if study.requirement_line is not None:
+        changes["requirement_line"] = rename(study.requirement_line)
+    return study.model_copy(update=changes)
+
+
+def study_hash(study: Study) -> str:
+    """A digest of a study and the content of its side files."""
+    digest = hashlib.sha256(dump_study(study).encode())
+    for path in side_files(study):
+        digest.update(path.read_bytes())
+    return digest.hexdigest()[:16]
 
 
 def run_header(study: Study, problem: Problem) -> dict[str, Any]:
     """The run data but for its points: what was asked, in which units, and where it came from."""
-    digest = hashlib.sha256(dump_study(study).encode())
-    for path in side_files(study):
-        digest.update(path.read_bytes())
     known = known_metrics(study)
     quantities = {
         name: quantity_entry(known[name].dimension, known[name].label, name)
@@ -110,14 +127,16 @@ def run_header(study: Study, problem: Problem) -> dict[str, Any]:
         "quantities": quantities,
         "objectives": objectives,
         "requirements": dict(study.requirements),
+        "requirement_line": read_requirement_line(study),
         "labels": {v.name: list(v.labels) for v in problem.variables if v.labels},
         "comparison_objective": objectives[1] if len(objectives) == 2 else None,
         "provenance": {
-            "study": digest.hexdigest()[:16],
-            **{name: metadata.version(name) for name in _LIBRARIES},
-            "python": platform.python_version(),
-            "machine": f"{platform.system()} {platform.machine()}",
+            "study": study_hash(study),
+            "revision": revision(),
+            **environment(),
+            "machine": machine(),
             "seed": str(study.solve.seed),
+            "modes": problem.system.model,
         },
     }
 

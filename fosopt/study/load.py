@@ -3,18 +3,22 @@
 from __future__ import annotations
 
 import io
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 from pydantic import ValidationError
 from ruamel.yaml import YAML
 
 from fosopt.errors import StudyError
-from fosopt.study.files import read_damping, read_psd
+from fosopt.study.files import read_damping, read_psd, read_requirement_line
 from fosopt.study.schema import Study
+from fosopt.study.schema_imports import names_tables
 from fosopt.study.source import KeyPath, Source, override, parse_source, read_source
 from fosopt.units import quote
+
+_T = TypeVar("_T")
 
 
 def load_study(path: str | Path, overrides: Sequence[str] = ()) -> Study:
@@ -69,16 +73,30 @@ def _plain(value: Any) -> Any:
 
 def _study(source: Source, base: Path) -> Study:
     try:
+        source = _side_file(source, ("structure",), lambda: _inlined(source, base))
         study = Study.model_validate(source.data)
     except ValidationError as error:
         raise _first(error, source) from None
     study._base, study._source = base, source
     if isinstance(study.damping.table, str):
         _side_file(source, ("damping", "table"), lambda: read_damping(study))
+    if study.requirement_line is not None:
+        _side_file(source, ("requirement_line",), lambda: read_requirement_line(study))
     for k, disturbance in enumerate(study.disturbances):
-        if disturbance.psd is not None:
-            _side_file(source, ("disturbances", k, "psd"), lambda d=disturbance: read_psd(study, d))
+        if disturbance.table is not None:
+            key = "psd" if disturbance.psd is not None else "cumulative_rms"
+            _side_file(source, ("disturbances", k, key), partial(read_psd, study, disturbance))
     return study
+
+
+def _inlined(source: Source, base: Path) -> Source:
+    """The source with a truss of tables or of a deck written out."""
+    if not names_tables(source.data.get("structure")):
+        return source
+    # Reading other studies needs no numerical library.
+    from fosopt.study.inlined import inlined
+
+    return inlined(source, base)
 
 
 def _first(error: ValidationError, source: Source) -> StudyError:
@@ -155,10 +173,10 @@ def _path(location: Sequence[str | int], data: Any, *, missing: bool) -> KeyPath
     return tuple(path)
 
 
-def _side_file(source: Source, path: KeyPath, read: Any) -> None:
+def _side_file(source: Source, path: KeyPath, read: Callable[[], _T]) -> _T:
     """Read a side file; where it is missing, the study file is at fault."""
     try:
-        read()
+        return read()
     except StudyError as error:
         if error.line is None:
             raise source.error(f"{error.file}: {error.message}", path) from None

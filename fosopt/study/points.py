@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from fosopt.account import PidSearch, account
+from fosopt.account import Entry, PidSearch, account, refutation
 from fosopt.certify import Certificate, certify
 from fosopt.errors import FosoptError
 from fosopt.ops import Array
@@ -69,7 +69,7 @@ def judged_point(
 
 
 # Objectives this close (relative) are one: above what a converged solver leaves.
-_SAME = 1e-6
+SAME = 1e-6
 
 
 def evaluated_point(
@@ -107,6 +107,14 @@ def _point(
 ) -> dict[str, Any]:
     sound = certificate.stable and status in ("optimal", "evaluated")
     verified = certificate.verified if status == "optimal" else sound and not _doubts(certificate)
+    entries: Sequence[Entry] = ()
+    if bounds is not None and verified:
+        entries = _account(problem, x, constraints, bounds)
+    elif bounds is not None and bounds.structure and status in ("infeasible", "failed"):
+        proven = refutation(problem, x, constraints)
+        if proven is not None:
+            entries, status = (proven,), "infeasible"
+            reason = f"{reason}; {proven.remark}" if reason else proven.remark
     return {
         "key": key,
         "label": label,
@@ -140,33 +148,41 @@ def _point(
             }
             for c in certificate.constraints
         ],
-        "bounds": _bounds(problem, x, constraints, bounds) if verified and bounds is not None else [],
+        "bounds": [_entry(entry) for entry in entries],
         "history": history or [],
         "detail": detail_of(problem.evaluate(x, truth=True)),
     }
 
 
-def _bounds(
+def _account(
     problem: Problem, x: Array, constraints: Sequence[Constraint], asked: Certificates
-) -> list[dict[str, Any]]:
-    """The two-sided account of a design as plain numbers and text."""
+) -> tuple[Entry, ...]:
+    """The two-sided account of a design, as far as it is asked for."""
     pid = None if asked.pid is None else PidSearch(asked.pid.time_limit, asked.pid.gap)
-    entries = account(
-        problem, x, constraints, structure=asked.structure, any_controller=asked.any_controller, pid=pid
+    at = None if asked.receptance is None else (asked.receptance.port, asked.receptance.frequency)
+    return account(
+        problem,
+        x,
+        constraints,
+        structure=asked.structure,
+        receptance=at,
+        any_controller=asked.any_controller,
+        pid=pid,
     )
-    return [
-        {
-            "name": entry.name,
-            "value": _finite(entry.value),
-            "reached": entry.reached,
-            "gap": _finite(entry.gap),
-            "of": entry.of,
-            "assumptions": list(entry.assumptions),
-            "allowance": entry.allowance,
-            "remark": entry.remark,
-        }
-        for entry in entries
-    ]
+
+
+def _entry(entry: Entry) -> dict[str, Any]:
+    """A line of an account as plain numbers and text."""
+    return {
+        "name": entry.name,
+        "value": _finite(entry.value),
+        "reached": entry.reached,
+        "gap": _finite(entry.gap),
+        "of": entry.of,
+        "assumptions": list(entry.assumptions),
+        "allowance": entry.allowance,
+        "remark": entry.remark,
+    }
 
 
 def state_prices(point: dict[str, Any], quantities: Mapping[str, Mapping[str, Any]]) -> None:
@@ -219,8 +235,8 @@ def mark_dominated(points: list[dict[str, Any]], objectives: list[str]) -> bool:
     }
     for i, mine in values.items():
         points[i]["dominated"] = any(
-            all(a <= b + _SAME * abs(b) for a, b in zip(other, mine, strict=True))
-            and any(a < b - _SAME * abs(b) for a, b in zip(other, mine, strict=True))
+            all(a <= b + SAME * abs(b) for a, b in zip(other, mine, strict=True))
+            and any(a < b - SAME * abs(b) for a, b in zip(other, mine, strict=True))
             for other in values.values()
         )
     return any(p["dominated"] for p in points)

@@ -36,6 +36,7 @@ from fosopt.study.schema_base import (
     unique,
 )
 from fosopt.study.schema_certificates import Certificates
+from fosopt.study.schema_loop import Limits
 from fosopt.study.schema_rules import check_study
 from fosopt.study.schema_structures import Structure
 from fosopt.study.schema_sweep import Sweep
@@ -58,11 +59,18 @@ class _Variable(Section):
     """What every design variable has beside its bounds."""
 
     quantity: str
+    """What varies."""
     name: Identifier = Field(default_factory=_own_name)
+    """Name in expressions, `cases` and `design`; the quantity itself if left out."""
     lower: float
+    """Least value allowed."""
     upper: float
+    """Largest value allowed."""
     start: float | None = None
+    """Where the search begins; if left out, the value in the section of the system (of members their
+    mean)."""
     scale: Literal["log", "linear"] = Field(default_factory=_default_scale)
+    """How the solver sees it: `log` by ratios, the default with a lower bound above zero, or `linear`."""
 
     @property
     def is_scalar(self) -> bool:
@@ -82,7 +90,9 @@ class _Variable(Section):
 
 class _MemberVariable(_Variable):
     groups: Groups | None = None
+    """Named groups of members, each with the names or patterns (`L*`) of members that share one value."""
     group_by: str | None = None
+    """What shares one value: nothing (`member`, the default without `groups`), or bars of one kind and so on."""
 
     @property
     def is_scalar(self) -> bool:
@@ -108,6 +118,7 @@ class AreaVariable(_MemberVariable):
     quantity: Literal["area"]
     group_by: Literal["member", "bay", "kind", "all"] | None = Field(default_factory=_default_group_by)
     kinds: Annotated[tuple[Label, ...], Field(min_length=1)] | None = None
+    """Kinds of bars it is about; all if left out."""
     lower: Area
     upper: Area
     start: Area | None = None
@@ -129,6 +140,7 @@ class SpringStiffnessVariable(_MemberVariable):
     quantity: Literal["spring_stiffness"]
     group_by: Literal["member", "component", "all"] | None = Field(default_factory=_default_group_by)
     components: Annotated[tuple[Component, ...], Field(min_length=1)] | None = None
+    """Directions of the springs it is about; all if left out."""
     lower: Stiffness
     upper: Stiffness
     start: Stiffness | None = None
@@ -216,16 +228,22 @@ class Objective(Section):
     """What is made as small as possible, and what people call it."""
 
     minimize: MetricExpression
+    """Metric or expression to make small."""
     label: Label | None = None
+    """What tables and figures call it."""
 
 
 class Constraint(Section):
     """Bounds on a metric or an expression of metrics, and what people call it."""
 
     metric: MetricExpression
+    """Metric or expression to bound."""
     label: Label | None = None
+    """What tables and figures call it."""
     lower: AnyQuantity | None = None
+    """Least value allowed."""
     upper: AnyQuantity | None = None
+    """Largest value allowed."""
 
     @model_validator(mode="after")
     def _check(self) -> Self:
@@ -240,6 +258,7 @@ class Front(Section):
     """How finely the Pareto front of two objectives is drawn."""
 
     points: Annotated[int, Field(strict=True, ge=2, le=10_000)]
+    """Number of points of the Pareto front, both ends included."""
 
 
 Strategy = Literal["simultaneous", "nested", "sequential"]
@@ -249,12 +268,19 @@ class Solve(Section):
     """How the problem is solved."""
 
     strategy: Strategy = "simultaneous"
+    """Structure and control at once, control within structure, or structure first and control after it."""
     compare: tuple[Strategy, ...] = ()
+    """Other strategies to draw a front with, beside the main one."""
     starts: Count = 1
+    """Number of starts per point; those after the first are drawn at random within the bounds."""
     seed: Annotated[int, Field(strict=True, ge=0, lt=2**32)] = 1
+    """Seed of the random starts."""
     tolerance: PositiveFraction = 1e-6
+    """Scaled optimality tolerance of IPOPT."""
     max_iterations: Count = 300
+    """Most iterations per optimization."""
     time_limit: PositiveTime = 60.0
+    """Longest time per optimization."""
 
     @model_validator(mode="after")
     def _check(self) -> Self:
@@ -271,10 +297,12 @@ class Case(Section):
     """The same problem with a subset of the variables free."""
 
     name: Label
+    """What tables and figures call the case."""
     free: Annotated[
         Annotated[Literal["all", "none"], Tag("text")] | Annotated[tuple[Identifier, ...], Tag("list")],
         TEXT_OR_LIST,
     ]
+    """Variables that are free, the others staying at their start: `all`, `none` or a list of names."""
 
 
 Values = Annotated[
@@ -287,29 +315,59 @@ class Study(Section):
     """A study file that has been understood: all numbers in SI, all defaults filled in."""
 
     fosopt: Literal[1]
+    """Version of this format."""
     name: Label
+    """What the study is called."""
     kind: Literal["codesign", "analysis", "sweep"] = "codesign"
+    """Optimize a design, judge one design, or compute many over axes."""
     description: Prose = ""
+    """Text for whoever reads the report."""
     structure: Structure
+    """What carries the mirror."""
     hub: Hub = Hub()
+    """How the hub is held."""
     damping: Damping
+    """Damping of the structure's modes."""
     modes: Modes | None = None
+    """Which modes the design model keeps; all if left out (of a truss of more than 500 degrees of freedom the
+    lowest)."""
     mirror: Mirror
+    """The fast steering mirror."""
     controller: Controller
+    """The controller of the mirror."""
     placement: Placement | None = None
+    """Where the loop acts, reacts and senses; bicollocated if left out."""
     actuators: tuple[Actuator, ...] = ()
+    """Reaction-mass actuators on the structure."""
     disturbances: tuple[Disturbance, ...] = ()
+    """What makes the line of sight jitter; each has a metric `jitter_<name>`."""
     step: Step | None = None
+    """The step command that `step_offset` and `step_rms` judge."""
+    limits: Limits | None = None
+    """What the mirror can do; every design is checked for it."""
     variables: tuple[Variable, ...] = ()
+    """What an optimization may change."""
     objectives: Annotated[tuple[Objective, ...], Field(max_length=2)] = ()
+    """What to make small: one, or two for a Pareto front."""
     constraints: tuple[Constraint, ...] = ()
+    """What every design must keep."""
     front: Front | None = None
+    """The Pareto front; needed with two objectives."""
     solve: Solve = Solve()
+    """How to optimize."""
     cases: tuple[Case, ...] = ()
+    """Optimizations of some of the variables each, with a single objective."""
     certificates: Certificates | None = None
+    """Lower bounds to prove beside every point; none if left out."""
     sweep: Sweep | None = None
+    """Axes and outputs; needed with `kind: sweep`."""
     requirements: dict[str, AnyQuantity] = Field(default_factory=dict)
+    """Largest allowed value of a metric, by its name; the report says which are met."""
+    requirement_line: Label | None = None
+    """CSV file (`frequency_hz,cumulative_rms_urad`) of the most jitter may have accumulated below each
+    frequency."""
     design: dict[Identifier, Values] = Field(default_factory=dict)
+    """Values of variables by name, one per group: the design to judge, or to start from."""
 
     _base: Path = PrivateAttr(default=Path())
     _source: Source | None = PrivateAttr(default=None)

@@ -6,7 +6,7 @@ import keyword
 import re
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
-from typing import Annotated, Any
+from typing import Annotated, Any, get_args
 
 from pydantic import (
     BaseModel,
@@ -16,8 +16,10 @@ from pydantic import (
     Field,
     GetCoreSchemaHandler,
     GetJsonSchemaHandler,
+    WithJsonSchema,
     model_validator,
 )
+from pydantic.fields import FieldInfo
 from pydantic_core import CoreSchema, core_schema
 
 from fosopt.errors import did_you_mean
@@ -39,7 +41,26 @@ class RuleError(ValueError):
 class Section(BaseModel):
     """A part of the study file: frozen, and closed to unknown keys."""
 
-    model_config = ConfigDict(frozen=True, extra="forbid")
+    model_config = ConfigDict(frozen=True, extra="forbid", use_attribute_docstrings=True)
+
+    @classmethod
+    def meaning(cls, key: str) -> str:
+        """What a key is, as its docstring says, here or in the section this one is a kind of."""
+        sections = (c for c in cls.__mro__ if issubclass(c, Section) and key in c.model_fields)
+        text = next((text for c in sections if (text := c.model_fields[key].description)), "")
+        return " ".join(text.split())
+
+    @classmethod
+    def __get_pydantic_json_schema__(
+        cls, schema: CoreSchema, handler: GetJsonSchemaHandler
+    ) -> dict[str, Any]:
+        """Each key with its meaning and, of a quantity, how it is written."""
+        found = handler(schema)
+        for key, about in handler.resolve_ref_schema(found).get("properties", {}).items():
+            quantity = quantity_of(cls.model_fields[key])
+            written = "" if quantity is None else f" {quantity.written[:1].upper()}{quantity.written[1:]}."
+            about["description"] = cls.meaning(key) + written
+        return found
 
     @model_validator(mode="before")
     @classmethod
@@ -87,16 +108,27 @@ class Quantity:
     def __get_pydantic_core_schema__(self, source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
         return core_schema.no_info_plain_validator_function(self.parse)
 
+    @property
+    def written(self) -> str:
+        """How the file says it."""
+        if self.dimension is None:
+            return "a bare SI number, or text with a unit"
+        kind = DIMENSIONS[self.dimension]
+        name = self.dimension.replace("_", " ")
+        return f"{name}: a bare number in {kind.unit}, or text such as {kind.example}"
+
     def __get_pydantic_json_schema__(
         self, schema: CoreSchema, handler: GetJsonSchemaHandler
     ) -> dict[str, Any]:
-        if self.dimension is None:
-            meaning = "a bare SI number, or text with the unit its metric or variable has"
-        else:
-            kind = DIMENSIONS[self.dimension]
-            name = self.dimension.replace("_", " ")
-            meaning = f"{name}: a bare number in {kind.unit}, or text such as {kind.example}"
-        return {"anyOf": [{"type": "number"}, {"type": "string"}], "description": meaning}
+        return {"anyOf": [{"type": "number"}, {"type": "string"}], "description": self.written}
+
+
+def quantity_of(field: FieldInfo) -> Quantity | None:
+    """The annotation of a key that is a quantity or may be one."""
+    found = list(field.metadata)
+    for part in get_args(field.annotation):
+        found += getattr(part, "__metadata__", ())
+    return next((each for each in found if isinstance(each, Quantity)), None)
 
 
 AnyQuantity = Annotated[float, Quantity(None)]
@@ -155,7 +187,7 @@ def _prose(value: object) -> object:
 
 Identifier = Annotated[str, BeforeValidator(_identifier)]
 """A name that expressions can use."""
-Label = Annotated[str, BeforeValidator(_label)]
+Label = Annotated[str, BeforeValidator(_label), WithJsonSchema({"type": ["string", "integer"]})]
 """A name of a node or member; a whole number counts as its digits."""
 Prose = Annotated[str, BeforeValidator(_prose)]
 """Text of several lines."""
@@ -182,6 +214,16 @@ class _ExpressionText:
 
 
 MetricExpression = Annotated[Expression, _ExpressionText()]
+
+
+class OrFile:
+    """Annotation of what may be given by the name of a file, which is read before sections are understood."""
+
+    def __get_pydantic_json_schema__(
+        self, schema: CoreSchema, handler: GetJsonSchemaHandler
+    ) -> dict[str, Any]:
+        return {"anyOf": [handler(schema), {"type": "string"}]}
+
 
 TEXT_OR_LIST = Discriminator(lambda value: "text" if isinstance(value, str) else "list")
 """Tells text from a list, so that a message speaks of the one that was meant."""

@@ -10,6 +10,8 @@ from typing import TYPE_CHECKING, Any
 from fosopt.errors import did_you_mean
 from fosopt.expressions import Expression, Reference, parse_expression
 from fosopt.study.schema_base import KeyPath, RuleError, unique
+from fosopt.study.schema_imports import Imported
+from fosopt.study.schema_loop import check_loop
 from fosopt.study.schema_names import JITTER, MEMBERS, METRICS, QUANTITIES, Metric
 from fosopt.study.schema_sweep import check_sweep
 from fosopt.study.schema_truss import BarkerTruss, Truss
@@ -29,8 +31,10 @@ _EXCLUSIVE = {
 
 
 def known_metrics(study: Study) -> dict[str, Metric]:
-    """The metrics this study has: jitter needs disturbances, step metrics need a step."""
+    """The metrics this study has: jitter needs disturbances, step metrics a step, peaks of the mirror its limits."""
     known = {name: metric for name, metric in METRICS.items() if study.step or not name.startswith("step_")}
+    if study.limits is None:
+        known = {name: metric for name, metric in known.items() if not name.startswith("peak_")}
     if not study.disturbances:
         del known["jitter_total"]
     return known | {f"jitter_{disturbance.name}": JITTER for disturbance in study.disturbances}
@@ -78,6 +82,7 @@ def check_study(study: Study, data: Mapping[str, Any]) -> None:
     """Refuse a study whose sections do not fit together; ``data`` is what they were made of."""
     _check_ports(study)
     _check_mirror_mass(study)
+    check_loop(study)
     _check_disturbances(study)
     _check_variables(study, data)
     _check_purpose(study)
@@ -128,11 +133,17 @@ def _check_ports(study: Study) -> None:
         raise RuleError(
             f"unknown port '{study.mirror.port}'; {did_you_mean(study.mirror.port, ports)}", "mirror", "port"
         )
-    if study.structure.type in ("truss", "beam"):
-        component = study.structure.ports[study.mirror.port][1]
+    certified = None if study.certificates is None else study.certificates.receptance
+    if certified is not None and certified.port not in ports:
+        raise RuleError(
+            f"unknown port '{certified.port}'; {did_you_mean(certified.port, ports)}",
+            *("certificates", "receptance", "port"),
+        )
+    if isinstance(ports, Mapping):
+        component = ports[study.mirror.port][1]
         if not component.startswith("r"):
-            truss = study.structure.type == "truss"
-            use = "rx, ry or rz of a batten" if truss else "rz"
+            truss = study.structure.type != "beam"
+            use = "rx, ry or rz of a batten" if study.structure.type == "truss" else "rx, ry or rz"
             raise RuleError(
                 f"the mirror turns, but its port moves along '{component}'; use {use}",
                 *("structure", "ports" if truss else "stations", study.mirror.port, 1),
@@ -152,6 +163,8 @@ def _check_ports(study: Study) -> None:
 
 
 def _check_mirror_mass(study: Study) -> None:
+    if study.damping.imported and not isinstance(study.structure, Imported):
+        raise RuleError("no file tells this structure's damping; give 'uniform'", "damping", "imported")
     if study.structure.type == "chain" and study.mirror.mass_fraction is not None:
         raise RuleError(
             "a chain has no mass the mirror could be a fraction of; give 'mass', of which 0 kg is right as well",
@@ -205,6 +218,11 @@ def _check_variables(study: Study, data: Mapping[str, Any]) -> None:
 
 def _check_members(study: Study, variable: Variable, raw: object, at: KeyPath) -> None:
     structure = study.structure
+    if isinstance(structure, Imported):
+        raise RuleError(
+            "an imported structure is known by its modes, not its members; remove the variable or describe a truss",
+            *(*at, "quantity"),
+        )
     if structure.type == "beam" or structure.type == "chain":
         raise RuleError(
             f"a {structure.type} has neither bars nor battens nor springs to ground; remove the variable or "

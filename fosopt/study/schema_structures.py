@@ -1,11 +1,12 @@
-"""The structure of a study: a truss, a beam, or a chain of bodies and springs."""
+"""The structure of a study: a truss, a beam, a chain of bodies and springs, or one from files."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Annotated, Literal, Self
+from typing import Annotated, Any, Literal, Self
 
-from pydantic import Field, model_validator
+from pydantic import Field, GetJsonSchemaHandler, model_validator
+from pydantic_core import CoreSchema
 
 from fosopt.study.schema_base import (
     Count,
@@ -19,6 +20,7 @@ from fosopt.study.schema_base import (
     exactly_one,
     unique,
 )
+from fosopt.study.schema_imports import BulkData, Imported
 from fosopt.study.schema_truss import BarkerTruss, Truss
 
 PositiveLength = Annotated[float, Quantity("length", "positive")]
@@ -32,14 +34,23 @@ class Beam(Section):
     """A uniform Euler-Bernoulli beam in the coordinates of its modes, its hub at one end, its tip at the other."""
 
     type: Literal["beam"]
+    """Kind of structure."""
     boundary: Literal["fixed", "pinned"] = "pinned"
+    """Clamped at the root, or free to turn about it."""
     length: PositiveLength
+    """Length from root to tip."""
     mass_per_length: MassPerLength
+    """Mass per length."""
     bending_stiffness: BendingStiffness
+    """Bending stiffness E I."""
     axial_stiffness: AxialStiffness
+    """Axial stiffness E A."""
     lateral_modes: Count = 6
+    """Number of bending modes."""
     longitudinal_modes: Annotated[int, Field(strict=True, ge=0)] = 1
+    """Number of modes along the beam."""
     stations: dict[Identifier, tuple[Length, Literal["x", "y", "rz"]]] = Field(default_factory=dict)
+    """More ports: name to distance from the root and direction."""
 
     @property
     def ports(self) -> Mapping[str, tuple[float, str]]:
@@ -64,14 +75,18 @@ class Body(Section):
     """A body of a chain, which turns."""
 
     name: Identifier
+    """Name of the body, which is a port."""
     inertia: PositiveInertia
+    """Its inertia."""
 
 
 class ChainSpring(Section):
     """A torsion spring, given also by the frequency of its two bodies alone on it."""
 
     stiffness: PositiveRotationalStiffness | None = None
+    """Stiffness of the spring."""
     frequency: PositiveFrequency | None = None
+    """Natural frequency of its two bodies alone on it, in place of `stiffness`."""
 
     @model_validator(mode="after")
     def _check(self) -> Self:
@@ -83,9 +98,13 @@ class Chain(Section):
     """Bodies in a row, each joined to the next by a torsion spring; its hub is the first one, its tip the last."""
 
     type: Literal["chain"]
+    """Kind of structure."""
     held: Annotated[bool, Field(strict=True)] = False
+    """Whether the first body is held still."""
     bodies: Annotated[tuple[Body, ...], Field(min_length=2)]
+    """The bodies, from hub to tip."""
     springs: tuple[ChainSpring, ...]
+    """The springs, one between each two neighbors."""
 
     @property
     def ports(self) -> frozenset[str]:
@@ -110,4 +129,13 @@ class Chain(Section):
         return self
 
 
-Structure = Annotated[BarkerTruss | Truss | Beam | Chain, Field(discriminator="type")]
+class _OrDeck:
+    """Annotation of a structure that may be a deck, which has become a truss when sections are understood."""
+
+    def __get_pydantic_json_schema__(
+        self, schema: CoreSchema, handler: GetJsonSchemaHandler
+    ) -> dict[str, Any]:
+        return {"anyOf": [handler(schema), handler(BulkData.__pydantic_core_schema__)]}
+
+
+Structure = Annotated[BarkerTruss | Truss | Beam | Chain | Imported, Field(discriminator="type"), _OrDeck()]

@@ -9,6 +9,7 @@ from pydantic import Field, create_model, model_validator
 
 from fosopt.errors import did_you_mean
 from fosopt.study.schema_base import (
+    AnyQuantity,
     Count,
     Identifier,
     MetricExpression,
@@ -19,6 +20,7 @@ from fosopt.study.schema_base import (
     parsed,
     unique,
 )
+from fosopt.study.schema_imports import IMPORTED
 from fosopt.units import quote
 
 if TYPE_CHECKING:
@@ -50,11 +52,17 @@ _MOST_POINTS, _MOST_BAYS = 1_000_000_000, 5000
 
 
 class _Span(Section):
+    """Values between two ends."""
+
     points: Annotated[int, Field(strict=True, ge=2, le=1_000_000)] | None = None
+    """Number of values, both ends included; on a grid only."""
 
 
 # 'from' is no name Python can spell.
-_ENDS: dict[str, Any] = {"from": (float, ...), "to": (float, ...)}
+_ENDS: dict[str, Any] = {
+    "from": (AnyQuantity, Field(description="First value.")),
+    "to": (AnyQuantity, Field(description="Last value.")),
+}
 Range: Any = create_model("Range", __base__=_Span, **_ENDS)
 
 
@@ -62,10 +70,15 @@ class Axis(Section):
     """A quantity and its values: evenly spaced, spaced by equal ratios, or listed."""
 
     quantity: str
+    """What varies, such as `mirror_inertia_ratio`."""
     name: Identifier = Field(default_factory=lambda data: data["quantity"])
+    """Name in files and figures; the quantity if left out."""
     linear: Range | None = None
+    """Evenly spaced values."""
     log: Range | None = None
+    """Values spaced by equal ratios."""
     list: Annotated[tuple[Any, ...], Field(min_length=1)] | None = None
+    """Listed values."""
 
     @property
     def span(self) -> Any:
@@ -134,18 +147,27 @@ class BoundarySearch(Section):
     """Search for the boundaries of stability along one axis, on one line per point of the other axes."""
 
     along: Identifier
+    """Name of the axis to search along."""
     samples: Annotated[int, Field(strict=True, ge=3, le=100_000)] = 41
+    """Values tried on each line before boundaries between them are solved for."""
 
 
 class Sweep(Section):
     """One system over a set of points."""
 
     axes: Annotated[tuple[Axis, ...], Field(min_length=1, max_length=8)]
+    """The quantities that vary."""
     sampling: Literal["grid", "latin_hypercube", "sobol"] = "grid"
+    """All combinations of the axes' values, or points drawn within their ranges."""
     points: Count | None = None
+    """Number of points to draw; not on a grid."""
     seed: Annotated[int, Field(strict=True, ge=0, lt=2**32)] = 1
+    """Seed of the drawing."""
     outputs: Annotated[tuple[MetricExpression, ...], Field(min_length=1)]
+    """What to compute: metrics, expressions, `stable`, `one_minus_separation`; an indexed metric without
+    index stands for all modes."""
     boundary: BoundarySearch | None = None
+    """Where the loop loses stability, solved for along one axis."""
 
     @property
     def ordered(self) -> tuple[Axis, ...]:
@@ -230,7 +252,17 @@ def check_sweep(study: Study, check_output: Any) -> None:
         return
     if sweep is None:
         raise RuleError("a sweep needs the section 'sweep'; add it", "kind")
-    for key in ("variables", "objectives", "constraints", "front", "cases", "design", "requirements"):
+    none = (
+        "variables",
+        "objectives",
+        "constraints",
+        "front",
+        "cases",
+        "certificates",
+        "design",
+        "requirements",
+    )
+    for key in none:
         if getattr(study, key):
             raise RuleError(f"a sweep has no '{key}'; remove it or write 'kind: codesign'", key, of_key=True)
     for k, axis in enumerate(sweep.axes):
@@ -246,8 +278,10 @@ def _check_axis(study: Study, axis: Axis, at: tuple[str | int, ...]) -> None:
             f"a {study.structure.type} has no bays to vary; use another axis or 'type: barker_truss'",
             *(*at, "quantity"),
         )
-    if axis.quantity == "area_scale" and study.structure.type in ("beam", "chain"):
-        raise RuleError(f"a {study.structure.type} has no areas; use another axis", *at, "quantity")
+    if axis.quantity == "area_scale" and study.structure.type in ("beam", "chain", *IMPORTED):
+        raise RuleError(
+            f"a {study.structure.type.replace('_', ' ')} has no areas; use another axis", *at, "quantity"
+        )
     for k, port in enumerate(axis.list or () if axis.quantity == "mirror_port" else ()):
         if port not in study.structure.ports:
             raise RuleError(

@@ -6,10 +6,11 @@ from collections import Counter
 from collections.abc import Iterable
 from typing import Annotated, Any, Literal, Self
 
-from pydantic import Field, model_validator
+from pydantic import Field, Tag, model_validator
 
 from fosopt.errors import did_you_mean
 from fosopt.study.schema_base import (
+    ONE_OR_LIST,
     Area,
     Count,
     Density,
@@ -19,6 +20,7 @@ from fosopt.study.schema_base import (
     Label,
     Length,
     Mass,
+    OrFile,
     Pressure,
     Quantity,
     RuleError,
@@ -30,6 +32,10 @@ from fosopt.study.schema_base import (
 )
 
 Component = Literal["x", "y", "z", "rx", "ry", "rz"]
+BattenInertia = Annotated[
+    Annotated[Inertia, Tag("one")] | Annotated[tuple[Inertia, Inertia, Inertia], Tag("list")], ONE_OR_LIST
+]
+"""About the center: one value, or in space three along the axes."""
 Coordinates = Annotated[tuple[Length, ...], Field(min_length=2, max_length=3)]
 
 
@@ -37,11 +43,17 @@ class BarkerTruss(Section):
     """The dissertation's planar truss with alternating diagonals and rigid battens."""
 
     type: Literal["barker_truss"]
+    """Kind of structure."""
     boundary: Literal["table", "fixed", "pinned"] = "pinned"
+    """On the flexible root table (FEM1), clamped (FEM2), or free to turn about the hub (FEM3)."""
     bays: Annotated[int, Field(strict=True, ge=1, le=5000)] = 20
+    """Number of square bays of 0.3535 m."""
     longeron_area: Area | None = None
+    """Cross section of the longerons; the published tube's if left out."""
     diagonal_area: Area | None = None
+    """Cross section of the diagonals; the published tube's if left out."""
     batten_mass: Mass | None = None
+    """Mass of a batten; the fitted one if left out."""
 
     @property
     def kinds(self) -> frozenset[str]:
@@ -63,31 +75,47 @@ class Bar(Section):
     """A pin-ended bar between two nodes."""
 
     name: Label | None = None
+    """Its name; `<node>-<node>` if left out."""
     nodes: tuple[Label, Label]
+    """The nodes it joins."""
     area: Area
+    """Cross section."""
     young: Pressure
+    """Young's modulus."""
     density: Density
+    """Mass per volume."""
     kind: Label = "bar"
+    """Name shared by bars of a kind, for `group_by: kind`."""
     bay: Count | None = None
+    """Number of the bay it belongs to, for `group_by: bay`."""
 
 
 class Batten(Section):
     """A rigid body that carries nodes."""
 
     name: Label
+    """Its name."""
     nodes: Annotated[tuple[Label, ...], Field(min_length=1)]
+    """The nodes it carries."""
     mass: Mass
-    inertia: Inertia
+    """Its mass."""
+    inertia: BattenInertia
+    """About its center: one value in the plane, three along the axes in space."""
     center: Coordinates | None = None
+    """Where its mass center is; the mean of its nodes if left out."""
 
 
 class Point(Section):
     """A mass added to a node or batten."""
 
     node: Label | None = None
+    """The node it sits on."""
     batten: Label | None = None
+    """The batten it sits on, in place of `node`."""
     mass: Mass = 0.0
+    """Added mass."""
     inertia: Inertia = 0.0
+    """Added inertia; on a batten only."""
 
     @model_validator(mode="after")
     def _check(self) -> Self:
@@ -101,10 +129,15 @@ class Spring(Section):
     """A spring from a node or batten to ground."""
 
     name: Label | None = None
+    """Its name; `<node or batten>.<component>` if left out."""
     node: Label | None = None
+    """The node it holds."""
     batten: Label | None = None
+    """The batten it holds, in place of `node`."""
     component: Component
+    """The direction it resists."""
     stiffness: Stiffness
+    """Its stiffness, per meter or per radian as the component says."""
 
     @model_validator(mode="before")
     @classmethod
@@ -125,13 +158,22 @@ class Truss(Section):
     """Any pin-ended truss, planar or spatial."""
 
     type: Literal["truss"]
-    nodes: Annotated[dict[Label, Coordinates], Field(min_length=2)]
-    bars: Annotated[tuple[Bar, ...], Field(min_length=1)]
+    """Kind of structure."""
+    nodes: Annotated[dict[Label, Coordinates], Field(min_length=2), OrFile()]
+    """Coordinates of each node by its name, two in the plane or three in space; or a CSV file `node,x [m],y
+    [m]`."""
+    bars: Annotated[tuple[Bar, ...], Field(min_length=1), OrFile()]
+    """The bars; or a CSV file `start,end,area [mm^2],young [GPa],density [kg/m^3],kind,bay,name`."""
     battens: tuple[Batten, ...] = ()
+    """Rigid bodies, each carrying some nodes."""
     points: tuple[Point, ...] = ()
+    """Masses added to nodes or battens."""
     springs: tuple[Spring, ...] = ()
+    """Springs to ground."""
     supports: dict[Label, Annotated[tuple[Component, ...], Field(min_length=1)]] = Field(default_factory=dict)
+    """What is held still: name of a node or batten to its held components."""
     ports: Annotated[dict[Identifier, tuple[Label, Component]], Field(min_length=1)]
+    """Where things are attached: name to node or batten and component; `hub` is where the structure turns."""
 
     @property
     def kinds(self) -> frozenset[str]:

@@ -1,132 +1,65 @@
 """The record of a run: one SQLite file that holds every finished point, whatever happens to the process.
 
-The header and each point are JSON, in which a float keeps all its bits. The process that creates a record is
-the only one that writes to it; others may read at any time.
+The header and each point are JSON, in which a float keeps all its bits, and their long lists of floats are typed
+blobs. The process that created or resumed a record is the only one that writes to it; others may read at any time.
 """
 
 from __future__ import annotations
 
-import json
-import sqlite3
-from collections.abc import Iterator, Mapping
-from contextlib import contextmanager, suppress
-from pathlib import Path
-from types import TracebackType
-from typing import Any, NoReturn, Self
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from itertools import groupby
+from typing import Any
 
-from fosopt.errors import FosoptError
+from fosopt.ops import Array
+from fosopt.study.blobs import blob, packed
+from fosopt.study.database import RECORD, SCHEMA_VERSION, StoreError, said
+from fosopt.study.record import Record
 
-RECORD = "run.sqlite"
-"""Name of the record in the directory of a run."""
-SCHEMA_VERSION = 1
+__all__ = ["RECORD", "SCHEMA_VERSION", "Answered", "Block", "Store", "StoreError"]
 
-_APPLICATION_ID = 0x666F736F  # "foso" in ASCII: tells a record from any other SQLite file
-_PATIENCE = 30.0  # seconds a reader waits for the writer, and the writer for a reader
-_SCHEMA = f"""
-BEGIN;
-PRAGMA application_id = {_APPLICATION_ID};
-PRAGMA user_version = {SCHEMA_VERSION};
-CREATE TABLE header (id INTEGER PRIMARY KEY CHECK (id = 1), record TEXT NOT NULL);
-CREATE TABLE points (
-    key TEXT PRIMARY KEY,
-    position INTEGER NOT NULL,
-    status TEXT NOT NULL,
-    verified INTEGER NOT NULL CHECK (verified IN (0, 1)),
-    record TEXT NOT NULL
-);
-INSERT INTO header VALUES (1, '{{}}');
-COMMIT;
-"""
+_DESIGN = -1  # place of the vector of all variables among the arrays of a point
 
 
-class StoreError(FosoptError):
-    """A record of a run that cannot be written or read."""
+@dataclass(frozen=True)
+class Answered:
+    """What the solver said to one request of a plan.
 
-
-class Store:
-    """An open record; `create` or `open` makes one, and it is a context manager.
-
-    Parameters
+    Attributes
     ----------
-    path
-        The SQLite file.
-    connection
-        In autocommit mode, so that a write is on disk when it returns.
+    x
+        (n,) values of all variables.
+    status, objective
+        As the solver saw it; NaN for no value.
     """
 
-    def __init__(self, path: Path, connection: sqlite3.Connection) -> None:
-        self.path = path
-        self._connection = connection
+    x: Array
+    status: str
+    objective: float
 
-    @classmethod
-    def create(cls, path: Path, header: Mapping[str, object]) -> Self:
-        """Start a record and become its only writer.
 
-        Parameters
-        ----------
-        path
-            A file that does not exist, in a directory that does.
-        header
-            The run data but for its points.
+@dataclass(frozen=True)
+class Block:
+    """Points of a sweep that were computed together, `first` to before `last`, and what became of them."""
 
-        Raises
-        ------
-        StoreError
-            If the file exists or cannot be written.
-        ValueError
-            If a number of the header is not finite.
-        """
-        text = _json(header)
-        try:
-            path.touch(exist_ok=False)
-        except FileExistsError:
-            raise StoreError(f"{path}: exists already; give a directory without a run") from None
-        except OSError as error:
-            reason = error.strerror or str(error)
-            raise StoreError(f"{path}: cannot be written: {reason}; give another directory") from None
-        try:
-            with _said(path):
-                store = cls(path, _written_to(path))
-                store._execute("UPDATE header SET record = ?", text)
-        except StoreError:
-            path.unlink(missing_ok=True)
-            raise
-        return store
+    first: int
+    last: int
+    unstable: int
+    failed: int
+    reason: str | None
 
-    @classmethod
-    def open(cls, path: Path) -> Self:
-        """Open a record to read it, also while its run goes on or after its run was killed.
 
-        Raises
-        ------
-        StoreError
-            If there is no record, or it is damaged or written by a newer fosopt.
-        """
-        if not path.is_file():
-            raise StoreError(f"{path}: no such file; give the directory of a run or its {RECORD}")
-        with _said(path):
-            # Opened for writing because what a killed process left half done is rolled back by the reader;
-            # SQLite opens the file for reading where that is all the permissions allow.
-            connection = _connect(path)
-            try:
-                connection.execute("PRAGMA query_only = ON")
-                application, version = (
-                    connection.execute(f"PRAGMA {name}").fetchone()[0]
-                    for name in ("application_id", "user_version")
-                )
-                if application != _APPLICATION_ID:
-                    raise StoreError(_no_record(path))
-                if version > SCHEMA_VERSION:
-                    raise StoreError(
-                        f"{path}: written by a newer fosopt (record version {version}, this one reads "
-                        f"{SCHEMA_VERSION}); update fosopt"
-                    )
-            except BaseException:
-                connection.close()
-                raise
-        return cls(path, connection)
+class Store(Record):
+    """The record of a run: its points, and what is known of those to come."""
 
-    def write_point(self, position: int, point: Mapping[str, object]) -> None:
+    def write_point(
+        self,
+        position: int,
+        point: Mapping[str, object],
+        identity: str | None = None,
+        answer: Answered | None = None,
+        session: Mapping[str, object] | None = None,
+    ) -> None:
         """Add a point, or replace the one with its key.
 
         Parameters
@@ -135,6 +68,12 @@ class Store:
             Where it stands among the points of the run [-].
         point
             A point of the run data.
+        identity
+            What is unique to its study and coordinates; that of the point it replaces, or else its key.
+        answer
+            What the solver said, where other points depend on it.
+        session
+            The record of the session so far, written with the point.
 
         Raises
         ------
@@ -143,28 +82,147 @@ class Store:
         ValueError
             If a number of the point is not finite.
         """
-        text = _json(point)
-        with _said(self.path):
+        text, blobs = packed(point)
+        key = str(point["key"])
+        with said(self.path), self._transaction():
+            known = self._connection.execute("SELECT identity FROM points WHERE key = ?", (key,)).fetchone()
+            owner = identity or (known[0] if known else key)
+            self._execute("DELETE FROM points WHERE key = ?", key)
+            self._execute("DELETE FROM arrays WHERE owner = ? AND place >= 0", owner)
             self._execute(
-                "INSERT INTO points VALUES (?, ?, ?, ?, ?) ON CONFLICT (key) DO UPDATE SET "
-                "position = excluded.position, status = excluded.status, "
-                "verified = excluded.verified, record = excluded.record",
-                *(str(point["key"]), position, str(point["status"]), bool(point["verified"]), text),
+                "INSERT INTO points VALUES (?, ?, ?, ?, ?, ?)",
+                *(key, position, str(point["status"]), bool(point["verified"]), text, owner),
             )
+            self._write_arrays(owner, dict(enumerate(blobs)))
+            if answer is not None:
+                self._write_answer(owner, answer, finished=point["status"] != "interrupted")
+            if session is not None:
+                self._write_session(session)
 
-    def finish(self, header_updates: Mapping[str, object]) -> None:
-        """Replace entries of the header by what is known at the end of the run.
+    def mark(self, key: str, point: Mapping[str, object]) -> None:
+        """Replace what is said of a point that is there.
 
         Raises
         ------
         StoreError
             If the file can no longer be written.
-        ValueError
-            If a number is not finite.
         """
-        with _said(self.path):
-            header = self._header()
-            self._execute("UPDATE header SET record = ?", _json({**header, **header_updates}))
+        with said(self.path):
+            (position,) = self._connection.execute(
+                "SELECT position FROM points WHERE key = ?", (key,)
+            ).fetchone()
+        self.write_point(position, point)
+
+    def write_answer(self, identity: str, answer: Answered) -> None:
+        """Add an answer that is no point of the run, but that points depend on.
+
+        Raises
+        ------
+        StoreError
+            If the file can no longer be written.
+        """
+        with said(self.path), self._transaction():
+            self._write_answer(identity, answer, finished=answer.status != "interrupted")
+
+    def answers(self) -> dict[str, Answered]:
+        """What is known already by identity; an interrupted answer is none.
+
+        Raises
+        ------
+        StoreError
+            If the record is damaged.
+        """
+        with said(self.path):
+            rows = self._connection.execute(
+                "SELECT identity, status, objective, kind, shape, data FROM answers JOIN arrays "
+                "ON owner = identity AND place = ? WHERE finished",
+                (_DESIGN,),
+            ).fetchall()
+        nan = float("nan")
+        return {
+            identity: Answered(self._array(*stored), status, nan if value is None else value)
+            for identity, status, value, *stored in rows
+        }
+
+    def tally(self) -> list[tuple[str, str, bool]]:
+        """Key, status and whether it is verified, of each point in its position.
+
+        Raises
+        ------
+        StoreError
+            If the record is damaged.
+        """
+        with said(self.path):
+            rows = self._connection.execute(
+                "SELECT key, status, verified FROM points ORDER BY position, key"
+            ).fetchall()
+        return [(key, status, bool(verified)) for key, status, verified in rows]
+
+    def best(self, names: Sequence[str]) -> dict[str, float]:
+        """The least value of metrics among verified points but the start design, where there is one.
+
+        Raises
+        ------
+        StoreError
+            If the record is damaged.
+        """
+        found = {}
+        with said(self.path):
+            for name in names:
+                statement = (
+                    "SELECT min(json_extract(record, ?)) FROM points WHERE verified AND key != 'start'"
+                )
+                (value,) = self._connection.execute(statement, (f'$.metrics."{name}"',)).fetchone()
+                if value is not None:
+                    found[name] = float(value)
+        return found
+
+    def write_block(
+        self, block: Block, identity: str, arrays: Mapping[int, Array], session: Mapping[str, object]
+    ) -> None:
+        """Add points of a sweep, with their arrays by place and the record of the session so far.
+
+        Raises
+        ------
+        StoreError
+            If the file can no longer be written.
+        """
+        with said(self.path), self._transaction():
+            self._execute(
+                "INSERT INTO blocks VALUES (?, ?, ?, ?, ?, ?)",
+                *(block.first, block.last, block.unstable, block.failed, block.reason, identity),
+            )
+            self._write_arrays(identity, {place: blob(values) for place, values in arrays.items()})
+            self._write_session(session)
+
+    def blocks(self) -> list[Block]:
+        """The blocks of a sweep that are finished, in the order of their points.
+
+        Raises
+        ------
+        StoreError
+            If the record is damaged.
+        """
+        with said(self.path):
+            rows = self._connection.execute(
+                "SELECT first, last, unstable, failed, reason FROM blocks ORDER BY first"
+            ).fetchall()
+        return [Block(*row) for row in rows]
+
+    def block_arrays(self, first: int) -> dict[int, Array]:
+        """Arrays of the block that begins at a point, by place.
+
+        Raises
+        ------
+        StoreError
+            If the record is damaged.
+        """
+        with said(self.path):
+            rows = self._connection.execute(
+                "SELECT place, kind, shape, data FROM blocks JOIN arrays ON owner = identity WHERE first = ?",
+                (first,),
+            ).fetchall()
+        return {place: self._array(*stored) for place, *stored in rows}
 
     def run(self) -> dict[str, Any]:
         """The run data, with the points in the order of their positions.
@@ -174,107 +232,31 @@ class Store:
         StoreError
             If the record is damaged.
         """
-        with _said(self.path):
+        with said(self.path):
             # One transaction, so that header and points are of one moment.
             self._execute("BEGIN")
             try:
-                header = self._header()
-                rows = self._connection.execute("SELECT record FROM points ORDER BY position, key").fetchall()
+                header = self.header()
+                first = self.version < 2
+                rows = self._connection.execute(
+                    f"SELECT {'key' if first else 'identity'}, record FROM points ORDER BY position, key"
+                ).fetchall()
+                stored: list[tuple[Any, ...]] = []
+                if not first:
+                    stored = self._connection.execute(
+                        "SELECT owner, place, kind, shape, data FROM arrays WHERE place >= 0 "
+                        "AND owner IN (SELECT identity FROM points) ORDER BY owner"
+                    ).fetchall()
             finally:
                 self._execute("ROLLBACK")
-            return {**header, "points": [self._parsed(text) for (text,) in rows]}
+            owners = groupby(stored, lambda row: row[0])
+            blobs = {owner: {place: (k, s, d) for _, place, k, s, d in each} for owner, each in owners}
+            return {**header, "points": [self._parsed(text, blobs.get(owner)) for owner, text in rows]}
 
-    def close(self) -> None:
-        """Close the record; a complete one is then a single file that may be copied or write-protected."""
-        # With a reader at work the log stays beside the file, and the last one to leave merges it.
-        with suppress(sqlite3.Error):
-            self._connection.execute("PRAGMA busy_timeout = 0")
-            self._connection.execute("PRAGMA journal_mode = DELETE")
-        self._connection.close()
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self.close()
-
-    def _execute(self, statement: str, *values: object) -> None:
-        self._connection.execute(statement, values)
-
-    def _header(self) -> dict[str, Any]:
-        row = self._connection.execute("SELECT record FROM header").fetchone()
-        return self._parsed(row[0] if row else "")
-
-    def _parsed(self, text: str) -> dict[str, Any]:
-        try:
-            record = json.loads(text, parse_constant=_refuse)
-        except (TypeError, ValueError):
-            record = None
-        if not isinstance(record, dict):
-            raise StoreError(f"{self.path}: is damaged: an entry is no record; run the study again")
-        return record
-
-
-def _connect(path: Path) -> sqlite3.Connection:
-    # An address, because a plain name would be created where it is missing.
-    return sqlite3.connect(
-        f"{path.resolve().as_uri()}?mode=rw", uri=True, timeout=_PATIENCE, isolation_level=None
-    )
-
-
-def _written_to(path: Path) -> sqlite3.Connection:
-    """A connection to a fresh record, logging ahead where the file system can."""
-    try:
-        return _prepared(path, "WAL")
-    except sqlite3.OperationalError:
-        # Network file systems grant the log and fail at its first use, since it needs shared memory.
-        path.write_bytes(b"")
-        for leftover in ("-wal", "-shm", "-journal"):
-            path.with_name(path.name + leftover).unlink(missing_ok=True)
-        return _prepared(path, "DELETE")
-
-
-def _prepared(path: Path, journal: str) -> sqlite3.Connection:
-    connection = _connect(path)
-    try:
-        connection.execute(f"PRAGMA journal_mode = {journal}")
-        connection.execute("PRAGMA synchronous = NORMAL")
-        connection.executescript(_SCHEMA)
-    except BaseException:
-        connection.close()
-        raise
-    return connection
-
-
-def _json(value: Mapping[str, object]) -> str:
-    return json.dumps(value, allow_nan=False, separators=(",", ":"))
-
-
-def _refuse(constant: str) -> NoReturn:
-    raise ValueError(f"{constant} is no JSON")
-
-
-def _no_record(path: Path) -> str:
-    return f"{path}: is not the record of a fosopt run; give the directory of a run or its {RECORD}"
-
-
-@contextmanager
-def _said(path: Path) -> Iterator[None]:
-    """What SQLite complains about, as one line with a way out."""
-    try:
-        yield
-    except sqlite3.Error as error:
-        name, reason = getattr(error, "sqlite_errorname", ""), str(error)
-        if name.startswith("SQLITE_NOTADB"):
-            message = _no_record(path)
-        elif name.startswith(("SQLITE_CORRUPT", "SQLITE_ERROR")):
-            message = f"{path}: is damaged: {reason}; run the study again"
-        elif name.startswith("SQLITE_FULL"):
-            message = f"{path}: the disk is full; make room or give another directory"
-        elif name.startswith(("SQLITE_BUSY", "SQLITE_LOCKED")):
-            message = f"{path}: another program holds the file; close it and try again"
-        else:
-            message = f"{path}: cannot be used: {reason}; check the directory and its permissions"
-        raise StoreError(message) from None
+    def _write_answer(self, identity: str, answer: Answered, *, finished: bool) -> None:
+        objective = answer.objective if abs(answer.objective) < float("inf") else None
+        self._execute(
+            "INSERT OR REPLACE INTO answers VALUES (?, ?, ?, ?)",
+            *(identity, answer.status, objective, finished),
+        )
+        self._write_arrays(identity, {_DESIGN: blob(answer.x)})

@@ -4,184 +4,182 @@ from __future__ import annotations
 
 import json
 import re
-import time
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
-from math import nan
+from itertools import islice
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from fosopt.errors import FosoptError
+from fosopt.errors import StoppedError
+from fosopt.export.sweep_matlab import write_sweep_arrays
 from fosopt.expressions import Expression
 from fosopt.files import replacing
-from fosopt.ops import Array
 from fosopt.study.build import build_problem
-from fosopt.study.directory import make_directory, quantity_entry, run_header, with_inputs
-from fosopt.study.load import dump_study
-from fosopt.study.runner import Progress
+from fosopt.study.directory import make_directory, quantity_entry, run_header
+from fosopt.study.engine import Pool
+from fosopt.study.lock import only_writer
+from fosopt.study.plan import identity
+from fosopt.study.provenance import environment
+from fosopt.study.resume import Origin, inputs_of
+from fosopt.study.runner import Progress, Tell, Workers, going_on, options, pool_of, settle, told
 from fosopt.study.schema import Study
 from fosopt.study.schema_names import METRICS
 from fosopt.study.schema_rules import expression_dimension
-from fosopt.study.schema_sweep import AXES, STABLE, STRUCTURAL, Axis, Sweep
+from fosopt.study.schema_sweep import AXES, STABLE, Axis
+from fosopt.study.session import Session
+from fosopt.study.store import RECORD, Store, StoreError
 from fosopt.study.sweep_boundary import find_boundaries, write_boundaries
-from fosopt.study.sweep_outputs import Chunk, Outputs
-from fosopt.study.sweep_points import Bench, Points, Row, bench
-from fosopt.study.sweep_store import SweepStore, array_files, refuse_too_large
+from fosopt.study.sweep_export import stored_pieces
+from fosopt.study.sweep_job import Finding, Span, SweepJob, SweepPlan
+from fosopt.study.sweep_outputs import OF_STRUCTURE
+from fosopt.study.sweep_store import SweepFiles, array_files, refuse_too_large
 from fosopt.units import DIMENSIONLESS, DIMENSIONS, Vector, dimension_name
 
 SUMMARY = "sweep.json"
 """What a sweep was, with the names, units and files of all its axes and outputs."""
-_LOOPS, _MODES = 64, 1024  # points at hand: of closed loops, and of coupled modes alone
+_HERE, _THERE = (
+    4,
+    16,
+)  # blocks that are stored together, and blocks that make a task worth sending to a worker
+_AHEAD = 8  # tasks per worker that are sent before the first is answered
 _MATLAB = 64 * 2**20  # bytes up to which all arrays are also written as one MATLAB file
-_INDEXED = ("structure_frequency", "modal_inertia")
-
-
-@dataclass(frozen=True)
-class _Plan:
-    """A sweep that can be run: points, outputs, and the first of its systems."""
-
-    points: Points
-    outputs: Outputs
-    start: Bench
-    widths: dict[str, int]
-
-    @classmethod
-    def of(cls, study: Study, sweep: Sweep) -> _Plan:
-        points, outputs = Points(sweep), Outputs.of(sweep)
-        first = bench(study, points.row(points.rows(0, 1)[0]))
-        modes = first.first.modes.natural_frequency.size
-        bays = next((axis.list for axis in sweep.axes if axis.quantity == "bays"), None)
-        if bays is not None:
-            row = {**points.row(points.rows(0, 1)[0]), "bays": max(bays)}
-            modes = bench(study, row).first.modes.natural_frequency.size
-        _check_modes(study, sweep, first, modes)
-        bodies = 1 + sum(1 for _ in first.base.loop.attachments)
-        return cls(points, outputs, first, outputs.widths(modes, modes + bodies))
-
-
-def _check_modes(study: Study, sweep: Sweep, first: Bench, modes: int) -> None:
-    """Refuse outputs of modes that no point has."""
-    for k, output in enumerate(sweep.outputs):
-        for name, index in output.references:
-            if index is None:
-                continue
-            if name not in _INDEXED and not first.base.loop.plain:
-                raise study.error(
-                    f"{name}[{index}] is a metric of a bicollocated mirror without reaction masses only; write "
-                    f"'{name}', which gives it for every mode",
-                    *("sweep", "outputs", k),
-                )
-            most = modes + (name not in _INDEXED)
-            if index > most:
-                raise study.error(f"{name}[{index}]: the model has modes 1 to {most}", "sweep", "outputs", k)
 
 
 def run_sweep(
-    study: Study, out: Path, progress: Callable[[Progress], None], stop: Callable[[], bool]
+    study: Study,
+    out: Path,
+    progress: Tell,
+    stop: Callable[[], bool],
+    workers: Workers,
+    origin: Origin | None,
 ) -> dict[str, Any]:
     """Run a sweep into a new directory and return what it was and what became of it.
 
-    Results are on disk as soon as a chunk of points is finished; an interrupted sweep keeps what it has.
+    Results are in the record as soon as some points are finished; the other files are written from it at the end.
 
     Raises
     ------
     StudyError
         If the sweep cannot be run, its results would not fit on the disk, or `out` is not empty.
+    StoppedError
+        If the machine stops the run.
     """
-    begin, sweep = time.perf_counter(), study.sweep
-    assert sweep is not None
-    plan = _Plan.of(study, sweep)
-    points, outputs = plan.points, plan.outputs
-    names = [a.name for a in points.axes] + [e.text for e in outputs.scalars]
-    refuse_too_large(out, points.count, len(names), plan.widths)
+    plan = SweepPlan.of(study)
+    refuse_too_large(out, plan.points.count, len(plan.scalars), plan.widths)
     run = _header(study, plan)
+    run["provenance"] |= {"options": options(workers, origin)}
     make_directory(out)
-    (out / "study.yaml").write_text(dump_study(with_inputs(study, out)), encoding="utf-8")
-    finished = 0
+    with only_writer(out):
+        resolved, files = settle(study, out)
+        with Store.create(out / RECORD, run, inputs_of(study, files, origin)) as store:
+            return _go_on(store, resolved, plan, progress, stop, workers)
+
+
+def resume_sweep(
+    store: Store, study: Study, progress: Tell, stop: Callable[[], bool], workers: Workers
+) -> dict[str, Any]:
+    """Do what the record of a sweep does not have yet, and write its files.
+
+    Raises
+    ------
+    StoppedError
+        If the machine stops the run.
+    """
+    return _go_on(store, study, SweepPlan.of(study), progress, stop, workers)
+
+
+def _go_on(
+    store: Store, study: Study, plan: SweepPlan, progress: Tell, stop: Callable[[], bool], workers: Workers
+) -> dict[str, Any]:
+    out, run, points = store.path.parent, store.header(), plan.points
+    study_id, sessions = run["provenance"]["study"], store.sessions()
+    finished = known = sum(block.last - block.first for block in store.blocks())
+    session = Session.after(sessions, known, str(workers), environment())
+    stopped: StoppedError | None = None
 
     def tell(stage: str) -> None:
-        progress(Progress(stage, finished, points.count, None, time.perf_counter() - begin))
+        progress(Progress(stage, finished, points.count, None, session.seconds, known))
 
-    def save() -> None:
-        tally = outputs.tally
+    def complete() -> None:
+        """What can only be said of all points together, and the files."""
+        cut, blocks = stop() or stopped is not None, store.blocks()
         run.update(
             finished=finished,
-            interrupted=stop(),
-            unstable=tally.unstable if outputs.needs_loop else None,
-            failed=tally.failed,
-            reason=tally.reason,
-            seconds=time.perf_counter() - begin,
+            interrupted=cut,
+            unstable=sum(block.unstable for block in blocks) if plan.outputs.needs_loop else None,
+            failed=sum(block.failed for block in blocks),
+            reason=next((block.reason for block in blocks if block.reason), None),
+            seconds=session.seconds + sum(each["seconds"] for each in sessions),
         )
-        with replacing(out / SUMMARY) as temporary:
-            temporary.write_text(json.dumps(run, allow_nan=False, indent=1) + "\n", encoding="utf-8")
+        if run["boundary_along"] is not None and not cut and run["boundaries"] is None:
+            tell("stability boundaries")
+            assert study.sweep is not None
+            boundaries = find_boundaries(study, study.sweep, points, stop)
+            run.update(boundaries=boundaries, interrupted=stop())
+        tell("writing files")
+        _write(store, run, plan)
+        # Boundaries that were cut short are searched for again.
+        store.finish(run | ({"boundaries": None} if run["interrupted"] else {}))
+        end = "interrupted" if run["interrupted"] else "finished"
+        store.write_session(session.record(finished, points.count, end))
 
-    quantities = run["quantities"]
+    tell("points")
+    try:
+        try:
+            with pool_of(SweepJob(study, plan), study, workers, out) as pool:
+                spans = plan.missing(store.blocks(), _HERE if workers.alone else _THERE)
+                for found in _found(pool, spans, stop, _AHEAD * max(workers.count, 1)):
+                    block = found.block
+                    finished += block.last - block.first
+                    name = identity(study_id, {"first": block.first, "last": block.last})
+                    store.write_block(block, name, found.arrays, session.record(finished, points.count))
+                    tell("points")
+        except StoppedError as error:
+            stopped = error
+        complete()
+    except (StoreError, OSError) as error:
+        stopped = StoppedError(told(error))
+    if stopped is not None:
+        raise StoppedError(f"{stopped}; {going_on(finished, points.count, out)}")
+    return run
+
+
+def _found(pool: Pool, spans: Iterator[Span], stop: Callable[[], bool], ahead: int) -> Iterator[Finding]:
+    """What becomes of spans, of which not all are made before the first is answered."""
+    for span in islice(spans, ahead):
+        pool.submit(span)
+    while pool.busy and not stop():
+        answer = pool.next(stop)
+        if answer is None:
+            continue
+        for span in islice(spans, 1):
+            pool.submit(span)
+        if answer[1] is not None:
+            yield answer[1]
+
+
+def _write(store: Store, run: dict[str, Any], plan: SweepPlan) -> None:
+    """All files but the record, from the record."""
+    out, points, quantities = store.path.parent, plan.points, run["quantities"]
+    names = plan.scalars
     head = [quantities[name]["column"] for name in names]
     factors = [quantities[name]["column_factor"] for name in names]
     labels = {a.name: a.list for a in points.axes if a.quantity == "mirror_port" and a.list is not None}
-    save()
-    tell("points")
-    with SweepStore(out, names, head, factors, plan.widths, labels) as store:
-        for rows, chunk in _chunks(study, plan, stop):
-            store.append(np.hstack([rows, chunk.scalars]), chunk.arrays)
-            finished += rows.shape[0]
-            tell("points")
-    save()
-    if sweep.boundary is not None and not stop():
-        tell("stability boundaries")
-        run["boundaries"] = find_boundaries(study, sweep, points, stop)
+    with SweepFiles(out, names, head, factors, plan.widths, labels) as files:
+        for scalars, arrays in stored_pieces(store, plan):
+            files.append(scalars, arrays)
+    if run["boundaries"] is not None:
         write_boundaries(run["boundaries"], quantities, points.axes, out / "boundary.csv")
-    tell("writing files")
-    save()
+    with replacing(out / SUMMARY) as temporary:
+        temporary.write_text(json.dumps(run, allow_nan=False, indent=1) + "\n", encoding="utf-8")
     _write_mat(run, out)
     from fosopt.report import write_sweep_report
 
     write_sweep_report(run, out)
-    return run
 
 
-def _chunks(study: Study, plan: _Plan, stop: Callable[[], bool]) -> Iterator[tuple[Array, Chunk]]:
-    """Results in the order of the points, until asked to stop."""
-    points, outputs = plan.points, plan.outputs
-    at: Bench | None = plan.start
-    structure = _structural(points, points.row(points.rows(0, 1)[0]))
-    for first, last in points.blocks(_LOOPS if outputs.needs_loop else _MODES):
-        if stop():
-            return
-        numbers = points.rows(first, last)
-        rows = [points.row(each) for each in numbers]
-        if _structural(points, rows[0]) != structure:
-            structure, at = _structural(points, rows[0]), _bench(study, rows[0], outputs)
-        if at is None:
-            outputs.tally.failed += len(rows) - 1
-            yield numbers, _nothing(len(rows), outputs, plan.widths)
-        else:
-            yield numbers, outputs.chunk(at, rows, plan.widths)
-
-
-def _bench(study: Study, row: Row, outputs: Outputs) -> Bench | None:
-    """The system at a point; None, and counted, where physics does not allow it."""
-    try:
-        return bench(study, row)
-    except FosoptError as error:
-        outputs.tally.fail(error)
-        return None
-
-
-def _structural(points: Points, row: Row) -> tuple[Any, ...]:
-    return tuple(row[a.quantity] for a in points.axes if a.quantity in STRUCTURAL)
-
-
-def _nothing(count: int, outputs: Outputs, widths: dict[str, int]) -> Chunk:
-    return Chunk(
-        np.full((count, len(outputs.scalars)), nan),
-        {name: np.full((count, n), nan) for name, n in widths.items()},
-    )
-
-
-def _header(study: Study, plan: _Plan) -> dict[str, Any]:
+def _header(study: Study, plan: SweepPlan) -> dict[str, Any]:
     """What the sweep is; all numbers in files but tables are SI."""
     points, outputs = plan.points, plan.outputs
     header = run_header(study, build_problem(study))
@@ -224,7 +222,7 @@ def _header(study: Study, plan: _Plan) -> dict[str, Any]:
             "name": name,
             "unit": _unit(METRICS[name].dimension if name in METRICS else None),
             "file": files[name],
-            "dimensions": ["point", "mode"],
+            "dimensions": ["point", "structure_mode" if name in OF_STRUCTURE else "mode"],
             "shape": [points.count, width],
         }
         for name, width in plan.widths.items()
@@ -268,7 +266,6 @@ def _write_mat(run: dict[str, Any], out: Path) -> None:
     entries = {each["name"]: each["file"] for each in (*run["axes"], *run["outputs"])}
     if sum((out / file).stat().st_size for file in entries.values()) > _MATLAB:
         return
-    from scipy.io import savemat
-
-    content = {Path(file).stem[:63].lstrip("_0123456789"): np.load(out / file) for file in entries.values()}
-    savemat(out / "sweep.mat", content, long_field_names=True, do_compression=True, oned_as="column")
+    with replacing(out / "sweep.mat") as temporary:
+        arrays = {name: np.load(out / file) for name, file in entries.items()}
+        write_sweep_arrays(run, arrays, temporary)

@@ -22,13 +22,14 @@ class _Line:
 
     def __init__(self, study: Study, axis: Axis, row: Mapping[str, Any], known: Bench | None) -> None:
         self._study, self._axis, self._row = study, axis, dict(row)
-        self.bench = known
+        self.bench, self._ready = known, False
 
     def model(self, value: float) -> LoopModel:
         """The loop at a value of the axis."""
         row = {**self._row, self._axis.quantity: value}
-        if self.bench is None or self._axis.quantity in STRUCTURAL:
-            self.bench = bench(self._study, row)
+        if not self._ready or self._axis.quantity in STRUCTURAL:
+            self.bench, self._ready = bench(self._study, row, self.bench), True
+        assert self.bench is not None
         design = self.bench.design(row)
         return LoopModel(design.loop, self.bench.first.modes, self.bench.system.mirror_port)
 
@@ -58,15 +59,14 @@ def find_boundaries(
     log = along.log is not None
     lines: list[list[Boundary]] = []
     places: list[tuple[dict[str, Any], _Line]] = []
-    known: tuple[tuple[Any, ...], Bench | None] = ((), None)
+    known: Bench | None = None
     for numbers in product(*values):
         if stop():
             break
         row = {a.quantity: value_of(a, x) for a, x in zip(others, numbers, strict=True)}
-        structure = tuple(row[a.quantity] for a in others if a.quantity in STRUCTURAL)
-        line = _Line(study, along, row, known[1] if known[0] == structure else None)
+        line = _Line(study, along, row, known)
         lines.append(stability_boundaries(line.poles, *along.ends, log=log, samples=sweep.boundary.samples))
-        known = structure, line.bench
+        known = line.bench
         places.append(({a.name: row[a.quantity] for a in others}, line))
     found = []
     for (place, line), boundaries, numbers_ in zip(places, lines, branches(lines, log), strict=True):

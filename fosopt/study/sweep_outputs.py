@@ -18,7 +18,8 @@ from fosopt.problem import Design, Evaluation
 from fosopt.study.schema_sweep import STABLE, Sweep, array_of
 from fosopt.study.sweep_points import Bench, Row
 
-_OF_STRUCTURE = ("structure_frequency", "modal_inertia")
+OF_STRUCTURE = ("structure_frequency", "modal_inertia")
+"""Outputs of the modes of the structure alone; the others are of the coupled modes."""
 _NEEDS_LOOP = ("spectral_abscissa", "modulus_margin", "loop_crossover")
 _NEEDS_STABILITY = ("jitter_", "step_", "modulus_margin")
 
@@ -74,7 +75,7 @@ class Outputs:
 
     def widths(self, modes: int, coupled: int) -> dict[str, int]:
         """Columns of each array where the structure has a number of modes, and all bodies together another."""
-        return {name: modes if name in _OF_STRUCTURE else coupled for name in self.arrays}
+        return {name: modes if name in OF_STRUCTURE else coupled for name in self.arrays}
 
     def chunk(self, bench: Bench, rows: Sequence[Row], widths: dict[str, int]) -> Chunk:
         """All outputs at points on one structure."""
@@ -96,7 +97,7 @@ class Outputs:
     def _evaluations(self, bench: Bench, designs: Sequence[Design]) -> list[Evaluation]:
         if self.needs_loop:
             try:
-                return bench.first.neighbor(designs[0]).neighbors(designs)
+                return bench.first.neighbors(designs)
             except FosoptError:
                 pass  # each of them says what is wrong with it
         return [bench.first.neighbor(design) for design in designs]
@@ -133,10 +134,10 @@ class Outputs:
         self, bench: Bench, places: Sequence[int], evaluations: Sequence[Evaluation], into: dict[str, Array]
     ) -> None:
         first = bench.first
-        for name in set(into) & set(_OF_STRUCTURE):
+        for name in set(into) & set(OF_STRUCTURE):
             own = first.modes.natural_frequency if name == "structure_frequency" else _modal(first)
             into[name][:, : own.size] = own
-        names = [name for name in into if name not in _OF_STRUCTURE]
+        names = [name for name in into if name not in OF_STRUCTURE]
         if not names:
             return
         mirrors = [each.design.loop.mirror for each in evaluations]

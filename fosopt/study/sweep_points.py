@@ -11,9 +11,11 @@ import numpy as np
 from scipy.stats import qmc
 
 from fosopt.actuators import Mirror
+from fosopt.modes import Damping
 from fosopt.ops import Array
-from fosopt.problem import Definitions, Design, Evaluation, System, Variable, design_parameters
+from fosopt.problem import Design, Evaluation, Problem, System, Variable, design_parameters
 from fosopt.study.build import build_problem
+from fosopt.study.imports import imported_damping, read_imported, refuse_riding
 from fosopt.study.schema import Study
 from fosopt.study.schema_sweep import STRUCTURAL, Axis, Sweep
 
@@ -113,13 +115,16 @@ class Bench:
 
     Attributes
     ----------
+    problem, form
+        Of the study, before its areas are scaled, and the number of bays and the mirror's port it is of.
     first
         Evaluation of the base design, whose modes all points share.
     """
 
     system: System
     base: Design
-    definitions: Definitions
+    problem: Problem
+    form: tuple[Any, ...]
     first: Evaluation
 
     def design(self, row: Row) -> Design:
@@ -133,7 +138,9 @@ class Bench:
             base = replace(base, loop=replace(base.loop, mirror=mirror))
         variables = [_variable(q, x) for q, x in row.items() if q in _VARIABLES]
         x = np.array([float(v.start[0]) for v in variables])
-        return base.with_parameters(design_parameters(self.system, base, self.definitions, variables, x))
+        return base.with_parameters(
+            design_parameters(self.system, base, self.problem.definitions, variables, x)
+        )
 
 
 _VARIABLES = (
@@ -153,20 +160,39 @@ def _variable(quantity: Any, value: float) -> Variable:
     return Variable(quantity, quantity, start - 1, start + 1 + value, start, log=False)
 
 
-def bench(study: Study, row: Row) -> Bench:
+def bench(study: Study, row: Row, known: Bench | None = None) -> Bench:
     """The system of a study where the structural axes have the values of a point.
+
+    Parameters
+    ----------
+    known
+        Of another point of the same study: what does not differ is not built again.
 
     Raises
     ------
     StudyError
         For what physics does not allow.
     """
-    problem = build_problem(_with(study, row))
-    base = problem.base
+    form = row.get("bays"), row.get("mirror_port")
+    problem = known.problem if known is not None and known.form == form else build_problem(_with(study, row))
+    system, base = replace(problem.system, as_built=True), problem.base
+    if "mirror_mass" in row:
+        refuse_riding(study, system.structure, row["mirror_mass"])
+        base = replace(base, mirror_mass=row["mirror_mass"])
     if "area_scale" in row:
         # Inertia and gain follow the areas where they are given by ratios: `Bench.design` sees to it.
         base = replace(base, area=base.area * row["area_scale"])
-    return Bench(problem.system, base, problem.definitions, Evaluation(problem.system, base))
+    if "damping_ratio" in row:
+        damping, imported = Damping((row["damping_ratio"],)), read_imported(study)
+        system = replace(system, damping=damping if imported is None else imported_damping(imported, damping))
+    first = Evaluation(system, base)
+    if known is not None and known.problem is problem and _same_structure(known.base, base):
+        first.frame = known.first.frame
+    return Bench(system, base, problem, form, first)
+
+
+def _same_structure(one: Design, other: Design) -> bool:
+    return np.array_equal(one.area, other.area) and one.mirror_mass == other.mirror_mass
 
 
 def _with(study: Study, row: Row) -> Study:
@@ -180,7 +206,7 @@ def _with(study: Study, row: Row) -> Study:
         mirror = mirror.model_copy(update={"mass": row["mirror_mass"], "mass_fraction": None})
     if "damping_ratio" in row:
         damping = damping.model_copy(
-            update={"uniform": row["damping_ratio"], "per_mode": None, "table": None}
+            update={"uniform": row["damping_ratio"], "per_mode": None, "table": None, "imported": None}
         )
     changes = {
         "structure": structure,

@@ -9,11 +9,12 @@ import shutil
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from types import TracebackType
-from typing import Any, Self
+from typing import Self
 
 import numpy as np
 
 from fosopt.errors import StudyError
+from fosopt.export.sweep import sweep_cell
 from fosopt.ops import Array
 
 _CELL = 24  # bytes of a number in the table, with its comma
@@ -55,8 +56,8 @@ class GrowingArray:
         self._file.flush()
 
 
-class SweepStore:
-    """The files of a sweep under a run directory, and their only writer.
+class SweepFiles:
+    """The files of a sweep under a run directory, made anew and written in the order of the points.
 
     Parameters
     ----------
@@ -81,7 +82,7 @@ class SweepStore:
         widths: dict[str, int],
         labels: Mapping[str, Sequence[str]],
     ) -> None:
-        (directory / "arrays").mkdir()
+        (directory / "arrays").mkdir(exist_ok=True)
         files = array_files((*scalars, *widths))
         self._scalars, self._factors, self._labels = tuple(scalars), np.array(factors), labels
         self._columns = [GrowingArray(directory / files[name]) for name in scalars]
@@ -90,7 +91,7 @@ class SweepStore:
         self._writer = csv.writer(self._table, lineterminator="\n")
         self._writer.writerow(head)
 
-    def append(self, scalars: Array, arrays: dict[str, Array]) -> None:
+    def append(self, scalars: Array, arrays: Mapping[str, Array]) -> None:
         """Add (m, s) values of all scalars and the rows of each array."""
         for column, values in zip(self._columns, scalars.T, strict=True):
             column.append(values)
@@ -98,7 +99,7 @@ class SweepStore:
             self._arrays[name].append(values)
         texts = [self._labels.get(name) for name in self._scalars]
         for row in (scalars * self._factors).tolist():
-            self._writer.writerow([_cell(x, names) for x, names in zip(row, texts, strict=True)])
+            self._writer.writerow([sweep_cell(x, names) for x, names in zip(row, texts, strict=True)])
         self._table.flush()
 
     def __enter__(self) -> Self:
@@ -110,12 +111,6 @@ class SweepStore:
         for each in (*self._columns, *self._arrays.values()):
             each.close()
         self._table.close()
-
-
-def _cell(value: float, names: Sequence[str] | None) -> Any:
-    if names is not None:
-        return names[int(value)]
-    return "" if value != value else repr(value).removesuffix(".0")
 
 
 def array_files(names: Iterable[str]) -> dict[str, str]:
@@ -138,7 +133,8 @@ def refuse_too_large(out: Path, count: int, scalars: int, widths: dict[str, int]
     StudyError
         With the size it would take.
     """
-    need = count * (scalars * (8 + _CELL) + 8 * sum(widths.values()))
+    # Once in the record, and once in the arrays.
+    need = count * (scalars * (2 * 8 + _CELL) + 2 * 8 * sum(widths.values()))
     place = next(p for p in (out.absolute(), *out.absolute().parents) if p.exists())
     free = shutil.disk_usage(place).free
     if need > 0.95 * free:
