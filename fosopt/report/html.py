@@ -15,18 +15,26 @@ from pathlib import Path
 from string import Template
 
 from fosopt.files import replacing
+from fosopt.report.pack import packed
 
 SCRIPTS = (
     "format.js",
+    "unpack.js",
     "plot.js",
     "loop.js",
+    "jitter.js",
     "figures.js",
     "structure.js",
+    "plain.js",
     "front.js",
     "tables.js",
+    "account.js",
     "report.js",
 )
 """Parts of the page's script, in the order in which they use each other."""
+
+_OF_STABLE = ("jitter", "spectrum", "cumulative", "by_mode", "step")
+"""Details that only a stable loop has."""
 
 WEBGL_POINTS = 10_000
 """Above this many points the front is drawn by WebGL, as in ``front.js`` [-]."""
@@ -65,11 +73,11 @@ def document(run: Mapping[str, object]) -> str:
     parts = "".join((assets / name).read_text(encoding="utf-8") for name in SCRIPTS)
     script = f'(() => {{\n"use strict";\n{parts}}})();\n'
     library: str = get_plotlyjs()
-    points = [_without_false_numbers(point) for point in _points(run)]
+    points, trusses = packed([_without_false_numbers(point) for point in _points(run)])
     return Template((assets / "report.html").read_text(encoding="utf-8")).substitute(
         policy=policy([library, script], evaluates=len(points) > WEBGL_POINTS),
         style=(assets / "report.css").read_text(encoding="utf-8"),
-        data=embeddable({**run, "points": points}),
+        data=embeddable({**run, "points": points, "trusses": trusses}),
         plotly=library,
         script=script,
     )
@@ -116,7 +124,12 @@ def _without_false_numbers(point: Mapping[str, object]) -> dict[str, object]:
         # The objective may be the jitter; how far the constraints were from holding stays worth seeing.
         kept["history"] = [[iteration, None, infeasibility] for iteration, _, infeasibility in history]
     if point.get("detail") is not None:
-        kept["detail"] = {**_mapping(point["detail"]), "jitter": None, "cumulative": None, "step": None}
+        detail = {**_mapping(point["detail"]), **dict.fromkeys(_OF_STABLE)}
+        modes = detail.get("modes")
+        if isinstance(modes, list):
+            detail["modes"] = [{**mode, "jitter_share": None} for mode in modes]
+        kept["detail"] = detail
+    kept["bounds"] = []
     return kept
 
 

@@ -1,110 +1,8 @@
-// Jitter, step response and convergence of one point. Each figure takes the point and returns traces and
-// layout, or null when it has no data.
-
-function angle() {
-  const known = run.quantities?.jitter_total ?? run.quantities?.step_offset;
-  return known ? { unit: unitText(known.unit), factor: known.factor ?? 1 } : { unit: "µrad", factor: 1e6 };
-}
-
-function jitterFigure(point) {
-  const jitter = point.detail?.jitter;
-  const sources = Object.keys(jitter ?? {}).filter((name) => typeof jitter[name] === "number");
-  if (!sources.length) return null;
-  const { unit, factor } = angle();
-  const total = point.metrics?.jitter_total ?? Math.hypot(...sources.map((name) => jitter[name]));
-  // The first row stands at the bottom of a bar chart.
-  const rows = [...sources.map((name) => [name, jitter[name]]), ["total", total]].reverse();
-  const where = rows.map((_, index) => index);
-  const labels = rows.map(([name, value]) => {
-    const share = name === "total" ? "" : `, ${number(100 * (value / total) ** 2, 2)} %`;
-    const size = plain(withUnit(number(value * factor, 3), unit));
-    return `<b>${plain(name.replaceAll("_", " "))}</b><br>${size}${share}`;
-  });
-  const limits = rows.map(([name]) => requirements[name === "total" ? "jitter_total" : `jitter_${name}`]);
-  const data = [
-    {
-      type: "bar",
-      orientation: "h",
-      y: where,
-      x: rows.map(([, value]) => value * factor),
-      width: 0.62,
-      marker: {
-        color: rows.map(([name]) =>
-          name === "total" ? INK : SOURCES[sources.indexOf(name) % SOURCES.length],
-        ),
-      },
-      hoverinfo: "skip",
-    },
-  ];
-  const [furthest, shapes, annotations] = [[...rows.map(([, value]) => value), limits[0] ?? 0], [], []];
-  rows.forEach(([name], index) => {
-    if (name === "total" || !(limits[index] > 0)) return;
-    const line = levelLine(limits[index] * factor, "y", "");
-    shapes.push({ ...line.shape, yref: "y", y0: index - 0.4, y1: index + 0.4 });
-  });
-  if (limits[0] > 0) {
-    const line = levelLine(limits[0] * factor, "y", `requirement ${limit("jitter_total", limits[0])}`);
-    shapes.push(line.shape);
-    annotations.push({ ...line.note, yanchor: "bottom", textangle: 0, xanchor: "right" });
-  }
-  return {
-    data,
-    layout: layout({
-      xaxis: axis(`Line-of-sight jitter, rms (${unit})`, {
-        range: [0, 1.06 * factor * Math.max(...furthest)],
-      }),
-      yaxis: axis("", {
-        tickvals: where,
-        ticktext: labels,
-        ticks: "",
-        showgrid: false,
-        range: [-0.6, rows.length - 0.4],
-      }),
-      shapes,
-      annotations,
-      margin: { l: 70, r: 14, t: 24, b: 44 },
-    }),
-  };
-}
-
-function cumulativeFigure(point) {
-  const cumulative = point.detail?.cumulative;
-  if (!cumulative?.frequency_hz) return null;
-  const { unit, factor } = angle();
-  const names = Object.keys(cumulative).filter((name) => !["frequency_hz", "total"].includes(name));
-  const curve = (name, style) => ({
-    x: cumulative.frequency_hz,
-    y: scaled(cumulative[name], factor),
-    mode: "lines",
-    name: plain(name.replaceAll("_", " ")),
-    line: style,
-    hovertemplate: `%{x:.4g} Hz<br>%{y:.4g} ${unit}`,
-  });
-  const data = names.map((name, index) =>
-    curve(name, {
-      color: SOURCES[index % SOURCES.length],
-      dash: DASHES[index % DASHES.length],
-      width: 1.6,
-    }),
-  );
-  if (cumulative.total) data.push(curve("total", { color: INK, width: 2.4 }));
-  const most = requirements.jitter_total;
-  const line = most > 0 ? levelLine(most * factor, "x", `requirement ${limit("jitter_total", most)}`) : null;
-  return {
-    data,
-    layout: layout({
-      xaxis: decades("Frequency (Hz)"),
-      yaxis: axis(`Cumulative jitter, rms (${unit})`, { rangemode: "tozero" }),
-      shapes: line ? [line.shape] : [],
-      annotations: line ? [{ ...line.note, x: 0, xanchor: "left" }] : [],
-      showlegend: true,
-      margin: { l: 60, r: 14, t: 34, b: 44 },
-    }),
-  };
-}
+// Step response and convergence of one point. Each figure takes the point and returns traces and layout, or null
+// when it has no data.
 
 function stepFigure(point) {
-  const step = point.detail?.step;
+  const { step } = detailOf(point);
   if (!step) return null;
   const { unit, factor } = angle();
   const [shapes, annotations] = [[], []];
@@ -155,23 +53,84 @@ function stepFigure(point) {
   };
 }
 
+// The error within the window, which the whole response is too large to show.
+function windowFigure(point) {
+  const { step } = detailOf(point);
+  if (!step?.window_time_s) return null;
+  const { unit, factor } = angle();
+  const small = unit === "µrad" && Math.max(...step.window_error.map(Math.abs)) * factor < 1;
+  const [shownUnit, more] = small ? ["nrad", 1e3 * factor] : [unit, factor];
+  const level = (value, label, line) => {
+    const made = levelLine(value * more, "x", label);
+    return { shape: { ...made.shape, line }, note: { ...made.note, font: { size: 11, color: MUTED } } };
+  };
+  const value = (error) => withUnit(number(error * more, 3), shownUnit);
+  const dotted = { color: MUTED, width: 1, dash: "dot" };
+  const lines = [
+    level(step.mean, `mean ${value(step.mean)}`, { color: MUTED, width: 1, dash: "dash" }),
+    level(step.mean + step.rms, `mean ± rms, rms ${value(step.rms)}`, dotted),
+    level(step.mean - step.rms, "", dotted),
+  ];
+  const most = requirements.step_rms;
+  if (most > 0) {
+    lines.push(
+      ...[1, -1].map((sign) => {
+        const made = levelLine((step.mean + sign * most) * more, "x", sign > 0 ? `required rms ${value(most)}` : "");
+        return { ...made, note: { ...made.note, x: 0, xanchor: "left" } };
+      }),
+    );
+  }
+  return {
+    data: [
+      {
+        x: scaled(step.window_time_s, 1e3),
+        y: scaled(step.window_error, more),
+        mode: "lines",
+        line: { color: BLUE, width: 1.4 },
+        hovertemplate: `%{x:.5g} ms<br>%{y:.4g} ${shownUnit}<extra></extra>`,
+      },
+    ],
+    layout: layout({
+      xaxis: axis("Time (ms)", { range: step.window.map((time) => 1e3 * time) }),
+      yaxis: axis(`Error in the window (${shownUnit})`),
+      shapes: lines.map((line) => line.shape),
+      annotations: lines.filter((line) => line.note.text).map((line) => line.note),
+    }),
+  };
+}
+
+// The objective in its unit where the solver's last value is that of the design, else as the solver sees it.
+function historyObjective(point, values) {
+  const name = point.objective;
+  const reached = point.metrics?.[name];
+  const last = values.findLast((value) => typeof value === "number");
+  const same = typeof reached === "number" && Math.abs(last - reached) <= 1e-3 * Math.abs(reached);
+  if (!same) return { title: "Objective", factor: 1 };
+  const { unit, factor } = quantity(name);
+  return { title: unit ? `Objective (${unit})` : "Objective", factor };
+}
+
+function historyCaption(point) {
+  const aim = Object.hasOwn(run.quantities ?? {}, point.objective ?? "") ? ` (${quantity(point.objective).label})` : "";
+  return `Convergence: objective${aim} and largest constraint violation by iteration.`;
+}
+
 function historyFigure(point) {
   const history = point.history ?? [];
   if (history.length < 2) return null;
   const x = history.map(([iteration]) => iteration);
-  const valued = history.some(([, value]) => typeof value === "number");
+  const values = history.map(([, value]) => value);
+  const valued = values.some((value) => typeof value === "number");
+  const { title, factor } = historyObjective(point, values);
   const curve = { x, mode: "lines+markers", marker: { size: 4 }, line: { color: BLUE, width: 1.5 } };
+  const objectiveCurve = {
+    ...curve,
+    y: scaled(values, factor),
+    hovertemplate: "iteration %{x}<br>objective %{y:.6g}<extra></extra>",
+  };
   return {
     data: [
-      ...(valued
-        ? [
-            {
-              ...curve,
-              y: history.map(([, value]) => value),
-              hovertemplate: "iteration %{x}<br>objective %{y:.6g}<extra></extra>",
-            },
-          ]
-        : []),
+      ...(valued ? [objectiveCurve] : []),
       {
         ...curve,
         y: history.map(([, , value]) => (value > 0 ? value : null)),
@@ -183,8 +142,13 @@ function historyFigure(point) {
     ],
     layout: layout({
       xaxis: axis("Iteration", { anchor: "y2", mirror: "all" }),
-      ...(valued ? { yaxis: axis("Objective", { domain: [0.54, 1] }) } : {}),
-      yaxis2: axis("Infeasibility", { domain: [0, valued ? 0.46 : 1], type: "log", nticks: 5 }),
+      ...(valued ? { yaxis: axis(title, { domain: [0.54, 1] }) } : {}),
+      yaxis2: axis("Infeasibility", {
+        domain: [0, valued ? 0.46 : 1],
+        type: "log",
+        nticks: 5,
+        exponentformat: "power",
+      }),
       margin: { l: 64, r: 14, t: 12, b: 44 },
     }),
   };

@@ -134,25 +134,154 @@ function baselineTraces() {
     });
 }
 
+// ---- what is proven ----
+
+function boundsNamed(name) {
+  return points.flatMap((point) => {
+    const found = (point.bounds ?? []).find((bound) => bound.name === name && typeof bound.value === "number");
+    return found && onFront(point) ? [{ point, value: found.value }] : [];
+  });
+}
+
+// The least mass is a bound on all structures that meet what the study requires, so the least of the points' bounds
+// holds for the whole picture.
+function massFloor() {
+  const index = objectives.indexOf("structural_mass");
+  const found = boundsNamed("mass_lower_bound");
+  if (index < 0 || !found.length) return null;
+  const { factor } = quantity("structural_mass");
+  const value = Math.min(...found.map((bound) => bound.value)) * factor;
+  const most = Math.max(...points.filter(isSound).map((point) => objective(point, index) ?? value)) * factor;
+  return { index, value, room: Math.max(0.08 * (most - value), 1e-3 * value) };
+}
+
+function floorMarks(logarithmic) {
+  const floor = massFloor();
+  if (!floor) return { shapes: [], annotations: [] };
+  const [key, other] = floor.index ? ["y", "x"] : ["x", "y"];
+  const text = `proven: none lighter than ${number(floor.value)} kg`;
+  const line = levelLine(floor.value, other, text);
+  const least = floor.value - floor.room;
+  const region = {
+    type: "rect",
+    [`${key}0`]: least,
+    [`${key}1`]: floor.value,
+    [`${other}0`]: 0,
+    [`${other}1`]: 1,
+    [`${other}ref`]: `${other} domain`,
+    fillcolor: "#7b838d",
+    opacity: 0.22,
+    line: { width: 0 },
+    layer: "below",
+  };
+  const note = { ...placed(line, key, logarithmic[floor.index]), font: { size: 11, color: INK } };
+  if (!floor.index) Object.assign(note, { xanchor: "right", y: 0.5, yanchor: "middle", textangle: -90 });
+  return {
+    shapes: [region, { ...line.shape, line: { color: INK, width: 1.5 } }],
+    annotations: [note],
+  };
+}
+
+// From each point to what no controller on its own structure could do better than: a statement about that structure.
+function controllerTraces() {
+  const index = objectives.indexOf("jitter_total");
+  if (index < 0) return [];
+  const factors = [0, 1].map((k) => quantity(objectives[k]).factor);
+  const key = index ? "y" : "x";
+  return [
+    ["jitter_bound_any", "no linear controller on the same structure below", INK],
+    ["jitter_bound_pid", "no PID in its box on the same structure below", SKY],
+  ].flatMap(([name, label, color]) => {
+    const found = boundsNamed(name);
+    if (!found.length) return [];
+    const place = (k) =>
+      found.map(({ point, value }) => (k === index ? value : objective(point, k)) * factors[k]);
+    const reach = found.map(({ point, value }) => (objective(point, index) - value) * factors[index]);
+    return [
+      {
+        x: place(0),
+        y: place(1),
+        mode: "markers",
+        name: label,
+        marker: { symbol: index ? "line-ew-open" : "line-ns-open", size: 13, color, line: { width: 2.2, color } },
+        [`error_${key}`]: {
+          type: "data",
+          symmetric: false,
+          array: reach,
+          arrayminus: reach.map(() => 0),
+          color,
+          thickness: 1,
+          width: 0,
+        },
+        hovertemplate: "%{x:.4g}, %{y:.4g}",
+      },
+    ];
+  });
+}
+
+// Requirements are in the picture, and of the region below the floor as much as shows what it is.
+function frontRange(index, logarithmic) {
+  const floor = massFloor(),
+    most = requirementOf(index);
+  const include = [most, floor?.index === index ? floor.value : undefined].filter((value) => value !== undefined);
+  const clipped = floor?.index === index && !logarithmic ? { clipmin: floor.value - 0.9 * floor.room } : {};
+  return { autorangeoptions: { include, ...clipped } };
+}
+
+function frontCaption() {
+  const valueless = points.some((point) => objective(point, 0) !== null && objective(point, 1) === null);
+  const bounded = controllerTraces().length > 0;
+  return [
+    "Filled marks are verified, open ones dominated, crosses not verified; a ring marks the selected point.",
+    ...(valueless ? ["The strip on top holds points that have no value to plot."] : []),
+    ...(massFloor()
+      ? ["Gray region: proven empty, no structure within its bounds that meets what the study requires of it lies there."]
+      : []),
+    ...(bounded
+      ? [
+          "A dash below a point: no controller of that kind on the same structure has less; other structures may.",
+        ]
+      : []),
+    "The dotted line joins points and promises nothing between them.",
+  ].join(" ");
+}
+
+// A requirement far from all points would flatten them; it then stands in the tables alone.
+function requirementOf(index) {
+  const name = objectives[index],
+    most = requirements[name];
+  if (typeof most !== "number") return undefined;
+  const values = points.filter(onFront).map((point) => objective(point, index));
+  const [low, high] = [Math.min(...values), Math.max(...values)];
+  return most <= high + 2 * (high - low) && most >= low - 2 * (high - low) ? most * quantity(name).factor : undefined;
+}
+
 function frontFigure() {
   const [first, second] = [0, 1].map((index) => quantity(objectives[index]).factor);
   const valueless = points.filter((point) => objective(point, 0) !== null && objective(point, 1) === null);
-  const data = [...strategies.flatMap(strategyTraces), ...startTraces(), ...baselineTraces()];
+  const data = [
+    ...controllerTraces(),
+    ...strategies.flatMap(strategyTraces),
+    ...startTraces(),
+    ...baselineTraces(),
+  ];
   const wide = (values) =>
     values.every((value) => value > 0) && Math.max(...values) > 30 * Math.min(...values);
   const searched = points.filter((point) => point.strategy && onFront(point));
   const seen = searched.length ? searched : points.filter(onFront);
   const logarithmic = [0, 1].map((index) => wide(seen.map((point) => objective(point, index))));
-  const kind = (index) => (logarithmic[index] ? { type: "log" } : {});
-  const shapes = [],
-    annotations = [];
+  const { shapes, annotations } = floorMarks(logarithmic);
+  const kind = (index) => ({
+    ...(logarithmic[index] ? { type: "log" } : {}),
+    ...frontRange(index, logarithmic[index]),
+  });
   [
     [0, "y", first, "x"],
     [1, "x", second, "y"],
   ].forEach(([index, across, factor, key]) => {
     const name = objectives[index],
       most = requirements[name];
-    if (typeof most !== "number") return;
+    if (typeof most !== "number" || requirementOf(index) === undefined) return;
     const line = levelLine(most * factor, across, `requirement ${limit(name, most)}`);
     shapes.push(line.shape);
     annotations.push(placed(line, key, logarithmic[index]));

@@ -10,7 +10,7 @@ function turns(values) {
   return span > 1440 ? 720 : span > 720 ? 360 : span > 360 ? 180 : 90;
 }
 
-// −180° and its like within the range of an unwrapped phase.
+// −180° and its like within the range of a continuous phase.
 function critical(phases) {
   const known = phases.filter((value) => typeof value === "number");
   const least = Math.ceil((Math.min(...known) - 180) / 360),
@@ -19,43 +19,40 @@ function critical(phases) {
 }
 
 function bodeFigure(point) {
-  const bode = point.detail?.bode;
+  const { bode } = detailOf(point);
   if (!bode) return null;
+  const phases = bode.loop_phase_deg;
   const curve = { x: bode.frequency_hz, mode: "lines", line: { color: BLUE, width: 1.5 } };
   const shapes = [
     levelLine(0, "x", "").shape,
-    ...critical(bode.loop_phase_deg).map((phase) => ({ ...levelLine(phase, "x", "").shape, yref: "y2" })),
+    ...(phases ? critical(phases) : []).map((phase) => ({ ...levelLine(phase, "x", "").shape, yref: "y2" })),
   ];
   shapes.forEach((shape) => Object.assign(shape.line, { color: MUTED, width: 1, dash: "dot" }));
-  const crossover = point.metrics?.crossover,
+  const crossover = point.metrics?.loop_crossover,
     annotations = [];
   if (typeof crossover === "number" && crossover > 0) {
-    const line = levelLine(
-      crossover / (2 * Math.PI),
-      "y",
-      `crossover ${number(crossover / (2 * Math.PI), 3)} Hz`,
-    );
+    const hertz = crossover / (2 * Math.PI);
+    const line = levelLine(hertz, "y", `crossover ${number(hertz, 3)} Hz`);
     shapes.push({ ...line.shape, yref: "paper", line: { color: MUTED, width: 1, dash: "dash" } });
     annotations.push({ ...placed(line, "x", true), font: { size: 11, color: MUTED } });
   }
+  const magnitude = {
+    ...curve,
+    y: decibels(bode.loop_magnitude),
+    hovertemplate: "%{x:.4g} Hz<br>|L| %{y:.2f} dB<extra></extra>",
+  };
+  const phase = {
+    ...curve,
+    y: phases,
+    yaxis: "y2",
+    hovertemplate: "%{x:.4g} Hz<br>phase %{y:.1f}°<extra></extra>",
+  };
   return {
-    data: [
-      {
-        ...curve,
-        y: decibels(bode.loop_magnitude),
-        hovertemplate: "%{x:.4g} Hz<br>|L| %{y:.2f} dB<extra></extra>",
-      },
-      {
-        ...curve,
-        y: bode.loop_phase_deg,
-        yaxis: "y2",
-        hovertemplate: "%{x:.4g} Hz<br>phase %{y:.1f}°<extra></extra>",
-      },
-    ],
+    data: phases ? [magnitude, phase] : [magnitude],
     layout: layout({
-      xaxis: decades("Frequency (Hz)", { anchor: "y2", mirror: "all" }),
-      yaxis: axis("|L| (dB)", { domain: [0.46, 1] }),
-      yaxis2: axis("Phase of L (°)", { domain: [0, 0.42], dtick: turns(bode.loop_phase_deg) }),
+      xaxis: decades("Frequency (Hz)", phases ? { anchor: "y2", mirror: "all" } : {}),
+      yaxis: axis("|L| (dB)", { domain: [phases ? 0.46 : 0, 1] }),
+      ...(phases ? { yaxis2: axis("Phase of L (°)", { domain: [0, 0.42], dtick: turns(phases) }) } : {}),
       shapes,
       annotations,
     }),
@@ -63,7 +60,7 @@ function bodeFigure(point) {
 }
 
 function sensitivityFigure(point) {
-  const bode = point.detail?.bode;
+  const { bode } = detailOf(point);
   if (!bode?.sensitivity) return null;
   const shapes = [],
     annotations = [];
@@ -110,7 +107,7 @@ function sensitivityFigure(point) {
 }
 
 function polesFigure(point) {
-  const poles = (point.detail?.poles ?? []).filter(([re, im]) => im >= 0 && Math.hypot(re, im) > 0);
+  const poles = (detailOf(point).poles ?? []).filter(([re, im]) => im >= 0 && Math.hypot(re, im) > 0);
   if (!poles.length) return null;
   const group = (chosen, name, marker, word) => ({
     x: chosen.map(([re, im]) => Math.hypot(re, im) / (2 * Math.PI)),

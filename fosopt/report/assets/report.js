@@ -13,18 +13,14 @@ const PANELS = [
   ["structure", "full", "", structureCaption, structureFigure],
   ["metrics", "half", null, () => "Metrics of this point.", metricsTable],
   ["variables", "half", null, () => "Design variables; a range opens to its values.", variablesTable],
-  [
-    "history",
-    "half",
-    "",
-    () => "Convergence: objective as the solver sees it, and largest constraint violation.",
-    historyFigure,
-  ],
+  ["history", "half", "", historyCaption, historyFigure],
   [
     "constraints",
     "full",
     null,
-    () => "Constraints, with the slack to the nearer bound and the multiplier of the active ones.",
+    () =>
+      "Constraints, with the slack to the nearer bound; of active ones the multiplier, and in words what a little more " +
+      "of the bound changes.",
     constraintsTable,
   ],
   [
@@ -40,25 +36,43 @@ const PANELS = [
     "jitter",
     "half",
     "",
-    () => "Line-of-sight jitter by source; they add as root sum of squares. Percent: share of the variance.",
+    () => "Line-of-sight jitter by source; they add as root sum of squares. Percent: share of the mean square.",
     jitterFigure,
+  ],
+  [
+    "by-mode",
+    "half",
+    "",
+    () =>
+      "Line-of-sight jitter by closed-loop mode: covariance of a mode's part of the line of sight with the whole. Shares " +
+      "add to one; one below zero counteracts the others.",
+    byModeFigure,
   ],
   [
     "cumulative",
     "half",
     "",
-    () => "Cumulative jitter: root mean square of all that lies below a frequency.",
+    () => "Cumulative jitter by source: root mean square of all that lies below a frequency.",
     cumulativeFigure,
   ],
   [
-    "bode",
+    "mode-curves",
     "half",
-    "tall",
-    () => "Loop transfer L: magnitude and phase. Dotted: 0 dB and −180° (plus whole turns).",
-    bodeFigure,
+    "",
+    () => "Cumulative jitter by mode: share in the mean square of all that lies below a frequency.",
+    modeCurvesFigure,
   ],
+  [
+    "spectrum",
+    "full",
+    "",
+    () => "Spectrum of the line of sight by source, one-sided, six decades from its peak.",
+    spectrumFigure,
+  ],
+  ["bode", "half", "tall", bodeCaption, bodeFigure],
   ["sensitivity", "half", "tall", sensitivityCaption, sensitivityFigure],
-  ["step", "half", "", () => "Response to a step command.", stepFigure],
+  ["step", "half", "", () => "Response to a step command; the window is shaded.", stepFigure],
+  ["window", "half", "", () => "Error after the step within its window.", windowFigure],
   [
     "poles",
     "half",
@@ -75,19 +89,10 @@ const drawn = new Set();
 let selected = null;
 let pending = 0;
 
-function structureCaption(point) {
-  const truss = point.detail?.truss;
-  if (!truss) return "";
-  const { unit, factor } = areaUnit();
-  const range = span(scaled(truss.areas, factor));
-  const areas =
-    range.size > 1e-9 * range.most
-      ? `${number(range.least)} to ${withUnit(number(range.most), unit)}`
-      : withUnit(number(range.most), unit);
-  return (
-    `Truss of ${truss.bars.length} bars, areas ${areas}. Line width grows with the square root of the area, ` +
-    `as a bar's diameter does; color shows the area. Gray: battens.${isSlender(truss) ? " Below: area at the middle of each bar." : ""}`
-  );
+function bodeCaption(point) {
+  return detailOf(point).bode?.loop_phase_deg
+    ? "Loop transfer L: magnitude, and phase counted by its poles and zeros. Dotted: 0 dB and −180° (plus whole turns)."
+    : "Magnitude of the loop transfer L. Its phase is left out: a zero of L could not be found.";
 }
 
 function sensitivityCaption(point) {
@@ -121,8 +126,23 @@ function makePanels() {
     });
     // A table's caption stands above it, a figure's below, as in print.
     figure.append(...(height === null ? [caption, body] : [body, caption]));
+    if (id === "structure") figure.prepend(viewButtons());
     at("figures").append(figure);
   }
+}
+
+// A spatial truss is looked at from four sides.
+function viewButtons() {
+  const buttons = VIEWS.map(({ name }, index) => {
+    const button = element("button", { type: "button", class: "view", "aria-pressed": String(!index) }, name);
+    button.addEventListener("click", () => {
+      lookedFrom = index;
+      for (const each of buttons) each.setAttribute("aria-pressed", String(each === button));
+      fillPanel(PANELS[0], selected);
+    });
+    return button;
+  });
+  return element("div", { id: "views", role: "group", "aria-label": "View of the truss", hidden: "" }, ...buttons);
 }
 
 function fillPanel([id, , height, caption, make], point) {
@@ -194,6 +214,8 @@ function showPoint() {
   at("reason").textContent = reason ? `${capital(verdict(point))}: ${readable(reason)}` : "";
   if (hasFront()) Plotly.restyle("front", ringOf(point), [at("front").data.length - 1]);
   else if (drawn.has("front")) draw("front", barsFigure(point.key));
+  at("views").hidden = !isSpatial(point);
+  at("structure").classList.toggle("low", Boolean(detailOf(point).structure));
   PANELS.forEach((panel) => fillPanel(panel, point));
   at("announcement").textContent = `Point ${point.key} selected: ${valuesOf(point)}, ${verdict(point)}.`;
 }
@@ -209,7 +231,7 @@ function select(key, { link = true } = {}) {
     if (current && at("points").contains(row)) keepInView(row);
   }
   if (link) history.replaceState(null, "", `#point=${encodeURIComponent(point.key)}`);
-  // A held arrow key asks for points faster than twelve panels can be drawn.
+  // A held arrow key asks for points faster than all panels can be drawn.
   cancelAnimationFrame(pending);
   pending = requestAnimationFrame(showPoint);
 }
@@ -232,16 +254,29 @@ function step(by) {
     at("points").querySelector("tr.current button").focus({ preventScroll: true });
 }
 
+// Steps through the points: in their table and at the front by all arrows, elsewhere by those to the left and right,
+// because the others scroll the page. Home and End go to the first and last point, Enter at the front to its details.
 function onKey(event) {
   if (event.altKey || event.ctrlKey || event.metaKey || event.shiftKey) return;
-  const inPoints = at("points").contains(event.target);
-  // Elsewhere arrows keep their meaning: they scroll the page or a wide table.
-  const owned =
-    event.target === document.body || at("bar").contains(event.target) || at("front").contains(event.target);
-  const by = { ArrowLeft: -1, ArrowRight: 1, ...(inPoints ? { ArrowUp: -1, ArrowDown: 1 } : {}) }[event.key];
-  if (!by || !(inPoints || owned)) return;
+  const atFront = at("front")?.contains(event.target) ?? false;
+  const listed = at("points").contains(event.target) || atFront;
+  const near = event.target === document.body || at("bar").contains(event.target);
+  if (!listed && !near) return;
+  if (atFront && event.key === "Enter") {
+    at("selected").focus();
+    event.preventDefault();
+    return;
+  }
+  const order = ordered(),
+    place = order.indexOf(selected);
+  const target = {
+    ArrowLeft: place - 1,
+    ArrowRight: place + 1,
+    ...(listed ? { ArrowUp: place - 1, ArrowDown: place + 1, Home: 0, End: order.length - 1 } : {}),
+  }[event.key];
+  if (target === undefined) return;
   event.preventDefault();
-  step(by);
+  step(target - place);
 }
 
 function fromAddress() {
@@ -289,16 +324,14 @@ function summary() {
 function showOverview() {
   at("overview").hidden = false;
   at("points").replaceChildren(pointsTable());
-  at("points-hint").textContent = "Click a point or a row, or step with the arrow keys; all below follows.";
+  at("points-hint").textContent =
+    "Click a point or a row, or step with the arrow keys, Home and End; all below follows. Enter at the front goes to " +
+    "the selected point.";
   if (hasFront()) {
     const [first, second] = objectives.map((name) => quantity(name).label);
     at("overview-title").textContent = `${capital(second)} against ${first}`;
-    const valueless = points.some((point) => objective(point, 0) !== null && objective(point, 1) === null);
-    at("front-caption").textContent = [
-      "Filled marks are verified, open ones dominated, crosses not verified; a ring marks the selected point.",
-      ...(valueless ? ["The strip on top holds points that have no value to plot."] : []),
-      "The dotted line joins points and promises nothing between them.",
-    ].join(" ");
+    at("front").setAttribute("aria-label", `${capital(second)} against ${first}. Arrow keys step through the points.`);
+    at("front-caption").textContent = frontCaption();
     return draw("front", frontFigure());
   }
   at("overview-title").textContent =
@@ -318,6 +351,8 @@ function showOverview() {
 // Paper is narrower than a screen, and figures do not shrink by themselves.
 function fitToPaper(printing) {
   document.documentElement.classList.toggle("printing", printing);
+  // On paper nothing opens with a click; what a bound assumes belongs to it.
+  for (const each of document.querySelectorAll("#account details")) each.open = printing;
   for (const id of drawn) {
     const size = printing
       ? { autosize: false, width: at(id).clientWidth, height: at(id).clientHeight }
@@ -348,9 +383,19 @@ function listen() {
   }
 }
 
+function told(value) {
+  if (value === null || value === undefined) return missing;
+  if (typeof value === "boolean") return value ? "yes" : "no";
+  if (Array.isArray(value)) return value.map(told).join(", ");
+  if (typeof value !== "object") return String(value);
+  return Object.entries(value)
+    .map(([name, each]) => `${name.replaceAll("_", " ")} ${told(each)}`)
+    .join(", ");
+}
+
 function definitions(entries) {
   return entries.map(([term, value]) =>
-    element("div", {}, element("dt", {}, term), element("dd", {}, String(value))),
+    element("div", {}, element("dt", {}, term.replaceAll("_", " ")), element("dd", {}, told(value))),
   );
 }
 
@@ -375,6 +420,9 @@ function start() {
     at("comparison").hidden = false;
     at("comparison-text").textContent = comparisonText();
     at("comparison-table").replaceChildren(comparisonTable());
+    const gains = gainFigure();
+    at("gain-panel").hidden = !gains;
+    if (gains) draw("gain", gains);
   }
   at("selected").hidden = false;
   at("bar").hidden = points.length === 1;

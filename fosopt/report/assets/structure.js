@@ -1,9 +1,10 @@
-// The truss of one point: line width and color by area.
+// The structure of one point: bars with width and color by area, and what is attached where.
 
 const LEVELS = 24;
 // Viridis without its palest fifth, which a white page swallows; the largest area is the darkest.
 const AREA_COLORS = ["#5ec962", "#28ae80", "#21918c", "#2c728e", "#3b528b", "#472d7b", "#440154"];
-const WIDEST = 7;
+const WIDEST = 9;
+const THINNEST = 0.6;
 
 function areaColor(fraction) {
   const place = Math.min(Math.max(fraction, 0), 1) * (AREA_COLORS.length - 1);
@@ -46,10 +47,11 @@ function barTraces(truss, trace) {
     .sort(([a], [b]) => a - b)
     .map(([level, bars]) => {
       const area = least + (largest - least) * (level / LEVELS);
+      // Ink is to scale with mass: a line's width with the area of the bar it stands for.
       const color = areaColor(largest > least ? level / LEVELS : 1);
       return trace(segments(truss, bars), {
         color,
-        width: Math.max(0.8, WIDEST * Math.sqrt(area / largest)),
+        width: Math.max(THINNEST, (WIDEST * area) / largest),
       });
     });
 }
@@ -143,19 +145,51 @@ function profileTraces(truss) {
 }
 
 function structureFigure(point) {
-  const truss = point.detail?.truss;
-  if (!truss?.bars?.length) return null;
-  return truss.nodes[0].length === 3 ? spatialFigure(truss) : planarFigure(truss);
+  const { truss, structure, places = [] } = detailOf(point);
+  if (structure?.kind === "beam") return beamFigure(structure, places);
+  if (structure?.kind === "chain") return chainFigure(structure, places);
+  if (!truss) return null;
+  return truss.nodes[0].length === 3 ? spatialFigure(truss, places) : planarFigure(truss, places);
 }
 
-function planarFigure(truss) {
-  const trace = ([x, y], line) => ({ x, y, mode: "lines", line, hoverinfo: "skip", showlegend: false });
-  const [x, y] = middles(truss);
-  const data = [
-    trace(segments(truss, truss.battens ?? []), { color: "#8b929b", width: 1.2 }),
-    ...barTraces(truss, trace),
-    colorMarkers(truss, { x, y, showlegend: false }),
+function structureCaption(point) {
+  const { truss, structure } = detailOf(point);
+  if (structure) return plainCaption(structure);
+  if (!truss) return "";
+  if (!truss.bars.length) return "Structure of rigid battens without bars; gray: battens.";
+  const { unit, factor } = areaUnit();
+  const range = span(scaled(truss.areas, factor));
+  const areas =
+    range.size > 1e-9 * range.most
+      ? `${number(range.least)} to ${withUnit(number(range.most), unit)}`
+      : withUnit(number(range.most), unit);
+  return [
+    `Truss of ${truss.bars.length} bars, areas ${areas}.`,
+    `Line width is to scale with the area, ${WIDEST} px for the largest and ${THINNEST} px at least;`,
+    "color shows the area. Gray: battens.",
+    ...(isSlender(truss) ? ["Below: area at the middle of each bar."] : []),
+    ...(isSpatial(point) ? [`Parallel projection, ${VIEWS[lookedFrom].name}.`] : []),
+  ].join(" ");
+}
+
+function isSpatial(point) {
+  return detailOf(point).truss?.nodes[0].length === 3;
+}
+
+const line2d = ([x, y], line) => ({ x, y, mode: "lines", line, hoverinfo: "skip", showlegend: false });
+
+function drawnBars(truss) {
+  return [
+    line2d(segments(truss, truss.battens ?? []), { color: "#8b929b", width: 1.2 }),
+    ...(truss.bars.length ? barTraces(truss, line2d) : []),
   ];
+}
+
+function planarFigure(truss, places) {
+  const [x, y] = middles(truss);
+  const data = drawnBars(truss);
+  if (truss.bars.length) data.push(colorMarkers(truss, { x, y, showlegend: false }));
+  data.push(...placeTraces(places, (place) => place.xyz));
   const slender = isSlender(truss);
   if (slender) data.push(...profileTraces(truss));
   const length = span(truss.nodes.map((node) => node[0]));
@@ -165,7 +199,7 @@ function planarFigure(truss) {
     layout: layout({
       xaxis: axis("x (m)", {
         showgrid: false,
-        range: [length.least - 0.015 * length.size, length.most + 0.015 * length.size],
+        range: [length.least - 0.03 * length.size, length.most + 0.03 * length.size],
         anchor: slender ? "y2" : "y",
         mirror: slender ? "all" : true,
         constrain: slender ? "range" : "domain",
@@ -190,58 +224,77 @@ function planarFigure(truss) {
   };
 }
 
-// Looks across the longest side, so that a mast lies along the figure or stands in it.
-function view(truss) {
+const VIEWS = [
+  { name: "from aside and above", right: null, up: null },
+  { name: "onto the x–y plane", right: 0, up: 1 },
+  { name: "onto the x–z plane", right: 0, up: 2 },
+  { name: "onto the y–z plane", right: 1, up: 2 },
+];
+let lookedFrom = 0;
+
+// Directions of the picture in space. From aside the longest side lies along the picture, unless it stands.
+function picture(truss) {
+  const { right, up } = VIEWS[lookedFrom];
+  const unit = (k) => [0, 1, 2].map((index) => Number(index === k));
+  if (right !== null) return [unit(right), unit(up)];
   const sides = [0, 1, 2].map((k) => span(truss.nodes.map((node) => node[k])).size);
-  const longest = sides.indexOf(Math.max(...sides));
-  // The figure is wide and low: what is slender and lies may fill its width.
-  const second = [...sides].sort((a, b) => b - a)[1] / sides[longest];
-  const size = longest === 2 ? 1.5 : 3.4 - 2 * second;
-  const ratio = sides.map((side) => size * Math.max(side / sides[longest], 1e-3));
-  const [x, y, z] = [
-    [0.45, -1.5, 0.7],
-    [1.5, 0.45, 0.7],
-    [1.2, -1.2, 0.35],
-  ][longest];
-  return {
-    aspectmode: "manual",
-    aspectratio: { x: ratio[0], y: ratio[1], z: ratio[2] },
-    camera: { eye: { x, y, z }, projection: { type: "orthographic" } },
-    // Along a short side numbers would stand on top of each other.
-    axes: sides.map((side) => ({ showticklabels: side > 0.25 * sides[longest] })),
-  };
+  const eye = [
+    [0.35, -0.86, 0.37],
+    [0.86, -0.35, 0.37],
+    [0.55, -0.8, 0.24],
+  ][sides.indexOf(Math.max(...sides))];
+  const across = Math.hypot(eye[0], eye[1]),
+    size = Math.hypot(...eye);
+  const level = [-eye[1] / across, eye[0] / across, 0];
+  return [
+    level,
+    [(-eye[0] * eye[2]) / across / size, (-eye[1] * eye[2]) / across / size, across / size],
+  ];
 }
 
-function spatialFigure(truss) {
-  const trace = ([x, y, z], line) => ({
-    type: "scatter3d",
-    x,
-    y,
-    z,
-    mode: "lines",
-    line,
-    hoverinfo: "skip",
-    showlegend: false,
+// The three directions of space at the lower left, where the axes cannot be read off the frame.
+function triad([right, up], low, size) {
+  return ["x", "y", "z"].flatMap((name, k) => {
+    const end = [low[0] + size * right[k], low[1] + size * up[k]];
+    return [
+      { x: end[0], y: end[1], ax: low[0], ay: low[1], axref: "x", ayref: "y", text: "", arrowcolor: MUTED, arrowhead: 2 },
+      {
+        x: low[0] + 1.35 * size * right[k],
+        y: low[1] + 1.35 * size * up[k],
+        text: name,
+        showarrow: false,
+        font: { size: 11.5, color: MUTED },
+      },
+    ];
   });
-  const [x, y, z] = middles(truss);
-  const { axes, ...scene } = view(truss);
-  const [xaxis, yaxis, zaxis] = axes.map((more, k) => ({
-    title: { text: `${"xyz"[k]} (m)` },
-    backgroundcolor: PAPER,
-    gridcolor: GRID,
-    zerolinecolor: GRID,
-    color: MUTED,
-    ...more,
-  }));
+}
+
+function spatialFigure(truss, places) {
+  const directions = picture(truss);
+  const onto = (node) =>
+    directions.map((direction) => direction.reduce((sum, value, k) => sum + value * node[k], 0));
+  const flat = { ...truss, nodes: truss.nodes.map(onto) };
+  const [x, y] = middles(flat);
+  const [wide, high] = [0, 1].map((k) => span(flat.nodes.map((node) => node[k])));
+  const { right, up } = VIEWS[lookedFrom];
+  const size = 0.12 * Math.max(wide.size, high.size);
+  const corner = [wide.least - 1.6 * size, high.least - 1.2 * size];
+  const frame = right === null ? frameless() : null;
   return {
     data: [
-      trace(segments(truss, truss.battens ?? []), { color: "#8b929b", width: 1.5 }),
-      ...barTraces(truss, trace),
-      colorMarkers(truss, { type: "scatter3d", x, y, z, showlegend: false }),
+      ...drawnBars(flat),
+      ...(truss.bars.length ? [{ ...colorMarkers(truss, { x, y, showlegend: false }), hovertext: barTexts(truss) }] : []),
+      ...placeTraces(places, (place) => onto(place.xyz)),
     ],
     layout: layout({
-      scene: { ...scene, xaxis, yaxis, zaxis, dragmode: "orbit" },
-      margin: { l: 0, r: 0, t: 0, b: 0 },
+      xaxis: frame ?? axis(`${"xyz"[right]} (m)`, { showgrid: false, constrain: "domain" }),
+      yaxis: {
+        ...(frame ?? axis(`${"xyz"[up]} (m)`, { showgrid: false, constrain: "domain" })),
+        scaleanchor: "x",
+        scaleratio: 1,
+      },
+      annotations: frame ? triad(directions, corner, size) : [],
+      margin: { l: 56, r: 14, t: 18, b: 44 },
     }),
   };
 }

@@ -38,13 +38,15 @@ function scale(name, logarithmic, lists = [], more = {}) {
     least = known.reduce((a, b) => Math.min(a, b), Infinity);
   const many = most > 1e5 * least;
   const powers = { type: "log", exponentformat: "power", nticks: 8 };
+  // Within two decades, 2 and 5 have a number too.
+  if (most < 100 * least) return decades(heading(name), { dtick: "D2", ...more });
   return many ? axis(heading(name), { ...powers, ...more }) : decades(heading(name), more);
 }
 
 function axisScale(each) {
   if (each.labels)
     return axis(heading(each.name), { tickvals: each.labels.map((_, k) => k), ticktext: each.labels.map(plain) });
-  return scale(each.name, each.scale === "log");
+  return scale(each.name, each.scale === "log", [values(each.name, shownData.axes[each.name])]);
 }
 
 function crossings(each) {

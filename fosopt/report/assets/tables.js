@@ -148,6 +148,39 @@ function comparisonTable() {
   );
 }
 
+function gainFigure() {
+  const others = comparedStrategies().filter((name) => name !== "simultaneous");
+  const [axisName] = Object.keys(run.comparison[0]?.at ?? {});
+  if (!axisName) return null;
+  const { factor } = quantity(axisName);
+  const data = others.flatMap((name, index) => {
+    const known = run.comparison.filter((row) => gain(row, name) !== null);
+    if (known.length < 2) return [];
+    const [symbol, color] = STRATEGY_MARKS[(index + 1) % STRATEGY_MARKS.length];
+    return [
+      {
+        x: known.map((row) => row.at[axisName] * factor),
+        y: known.map((row) => gain(row, name)),
+        mode: "lines+markers",
+        name: plain(`over ${strategyName(name)}`),
+        line: { color, width: 1.4 },
+        marker: { symbol, color, size: 7 },
+        hovertemplate: "%{x:.4g}<br>%{y:.3g} %",
+      },
+    ];
+  });
+  if (!data.length) return null;
+  return {
+    data,
+    layout: layout({
+      xaxis: axis(heading(axisName)),
+      yaxis: axis("Gain (%)", { rangemode: "tozero" }),
+      showlegend: true,
+      margin: { l: 56, r: 14, t: 30, b: 44 },
+    }),
+  };
+}
+
 function comparisonText() {
   const target = run.comparison_objective ?? objectives[1] ?? objectives[0];
   const sentences = comparedStrategies()
@@ -179,12 +212,14 @@ function signedBar(value, scale) {
 }
 
 function modesTable(point) {
-  const modes = point.detail?.modes ?? [];
+  const modes = detailOf(point).modes ?? [];
   if (!modes.length) return null;
   const inertias = modes
     .map((mode) => mode.effective_modal_reaction_inertia)
     .filter((value) => typeof value === "number");
   const scale = { low: Math.min(0, ...inertias), high: Math.max(0, ...inertias) };
+  const shares = modes.some((mode) => typeof mode.jitter_share === "number");
+  const percent = (share) => (typeof share === "number" ? 100 * share : null);
   const rows = modes.map((mode) =>
     element(
       "tr",
@@ -196,6 +231,7 @@ function modesTable(point) {
       cell(signedBar(mode.effective_modal_reaction_inertia, scale), "bars"),
       cell(number(mode.pole_zero_separation, 6), "n"),
       cell(number(mode.modal_inertia), "n"),
+      ...(shares ? [cell(number(percent(mode.jitter_share), 3), "n")] : []),
     ),
   );
   return table(
@@ -208,97 +244,19 @@ function modesTable(point) {
       ["", "bars"],
       ["βₖ", "n"],
       ["Modal inertia (kg m²)", "n"],
+      ...(shares ? [["Share of jitter² (%)", "n"]] : []),
     ],
     rows,
   );
 }
 
 function modesCaption(point) {
-  const values = (point.detail?.modes ?? []).map((mode) => mode.effective_modal_reaction_inertia);
+  const values = (detailOf(point).modes ?? []).map((mode) => mode.effective_modal_reaction_inertia);
   const sum = values.reduce((total, value) => total + (value ?? 0), 0);
   return (
     "Modes of the coupled system: effective modal reaction inertia J̄ₖ (its bar runs left when negative), " +
-    `pole-zero separation βₖ and modal inertia. These J̄ₖ sum to ${number(sum)}; all modes together, to one.`
-  );
-}
-
-// What provably no other design reaches: a bar from the bound to what this design has.
-function accountTable(point) {
-  const bounds = point.bounds ?? [];
-  if (!bounds.length) return null;
-  const rows = bounds.map(({ name, value, reached, gap, of, assumptions, remark }) => {
-    const { label, unit, factor } = quantity(name);
-    // From zero to the bound; the rest of the gauge is what could be gained.
-    const bar = typeof gap === "number" ? signedBar(Math.min(Math.max(1 - gap, 0), 1), { low: 0, high: 1 }) : "";
-    const said = element(
-      "details",
-      {},
-      element("summary", {}, of ? "bound of what, and when" : "why there is none"),
-      ...[of ? `${of}.` : "", ...(assumptions ?? []).map((each) => `Holds if ${each}.`), remark ? `${remark}.` : ""]
-        .filter(Boolean)
-        .map((text) => element("p", {}, text)),
-    );
-    return element(
-      "tr",
-      {},
-      rowHead(label),
-      cell(withUnit(number(reached * factor), unit), "n"),
-      cell(value === null ? missing : withUnit(number(value * factor), unit), "n"),
-      cell(bar, "bars"),
-      cell(gap === null ? missing : `${number(100 * gap, 3)} %`, "n"),
-      cell(said),
-    );
-  });
-  return table(
-    "Two-sided account",
-    [["Bound"], ["This design", "n"], ["None below", "n"], ["", "bars"], ["Could be better by at most", "n"], [""]],
-    rows,
-    "account",
-  );
-}
-
-function constraintsTable(point) {
-  const constraints = point.constraints ?? [];
-  if (!constraints.length) return null;
-  const rows = constraints.map(({ name, value, lower, upper, slack, multiplier, active, statement }) => {
-    const violated =
-      typeof slack === "number" && slack < -1e-6 * Math.max(Math.abs(value ?? 0), Number.MIN_VALUE);
-    const state = violated
-      ? "violated"
-      : active
-        ? "active"
-        : typeof value === "number"
-          ? "inactive"
-          : missing;
-    const glyph = { violated: "✕\u00a0", active: "●\u00a0" }[state] ?? "";
-    const bounds = [
-      typeof lower === "number" ? `≥ ${limit(name, lower)}` : "",
-      typeof upper === "number" ? `≤ ${limit(name, upper)}` : "",
-    ];
-    return element(
-      "tr",
-      { class: state },
-      rowHead(capital(quantity(name).label)),
-      cell(shown(name, value), "n"),
-      cell(bounds.filter(Boolean).join(", "), "n"),
-      cell(shown(name, slack), "n"),
-      cell(number(multiplier), "n"),
-      cell(element("span", { class: `mark ${violated ? "unsound" : ""}` }, `${glyph}${state}`)),
-      cell(readable(statement ?? ""), "sentence"),
-    );
-  });
-  return table(
-    "Constraints",
-    [
-      ["Constraint"],
-      ["Value", "n"],
-      ["Bound", "n"],
-      ["Slack", "n"],
-      ["Multiplier", "n"],
-      ["State"],
-      ["What it costs"],
-    ],
-    rows,
+    `pole-zero separation βₖ, modal inertia, and the share in the mean square jitter of the structural mode that the ` +
+    `loop makes of it. These J̄ₖ sum to ${number(sum)}; all modes together, to one.`
   );
 }
 
