@@ -9,12 +9,13 @@ READY := .venv/ready
 export OMP_NUM_THREADS := 1
 export OPENBLAS_NUM_THREADS := 1
 
-.PHONY: help test lint demo bench verify clean
+.PHONY: help test lint demo docs bench verify clean
 
 help:
 	@echo "make test    lint, then all tests"
 	@echo "make lint    ruff and mypy"
 	@echo "make demo    solve studies/mass-jitter.yaml; results and report go to runs/mass-jitter (the next to -2)"
+	@echo "make docs    renew docs/study-file.md, the reference of the study file"
 	@echo "make bench   run every benchmark"
 	@echo "make verify  compare with Octave and CalculiX, and renew docs/verification.md"
 	@echo "make clean   remove the environment and all caches; runs/ stays"
@@ -29,6 +30,9 @@ lint: $(READY)
 
 demo: $(READY)
 	$(BIN)/fosopt run studies/mass-jitter.yaml
+
+docs: $(READY)
+	$(BIN)/fosopt schema --page docs/study-file.md
 
 bench: $(READY)
 	@set -e; for file in $$(grep -l '^if __name__' benchmarks/*.py); do echo "$$file"; $(BIN)/python "$$file"; done

@@ -6,16 +6,12 @@ frequency that are both active at the optimum.
 
 from __future__ import annotations
 
-import cProfile
-import pstats
 import resource
 import subprocess
 import sys
 import time
-from collections import defaultdict
 from dataclasses import dataclass
 from math import pi
-from pathlib import Path
 
 import common
 import numpy as np
@@ -252,36 +248,6 @@ def best_differences(model: PlainModel, x: Array) -> Array:
     return found[np.arange(x.size), 1 + np.argmin(apart, axis=1)]
 
 
-def profile_by_module(problem: Problem) -> list[tuple[str, float]]:
-    """Share of a solve spent in each module of fosopt, with the libraries it calls.
-
-    The own time of a library function goes to its callers in proportion to the time it spent for each.
-    """
-    profile = cProfile.Profile()
-    profile.runcall(solve_with_fosopt, problem)
-    functions = pstats.Stats(profile).stats  # type: ignore[attr-defined]
-    spent: defaultdict[str, float] = defaultdict(float)
-
-    def charge(function: tuple[str, int, str], time_spent: float, depth: int) -> None:
-        parts = Path(function[0]).with_suffix("").parts
-        callers = {f: counts[3] for f, counts in functions[function][4].items()}
-        whole = sum(callers.values())
-        if "fosopt" in parts:
-            last = len(parts) - 1 - parts[::-1].index("fosopt")
-            spent[".".join(parts[last:])] += time_spent
-        elif depth == 0 or whole == 0.0:
-            spent["other"] += time_spent
-        else:
-            for caller, share in callers.items():
-                charge(caller, time_spent * share / whole, depth - 1)
-
-    for function, (_, _, own, _, _) in functions.items():
-        charge(function, own, 12)
-    total = sum(spent.values())
-    largest = sorted(spent.items(), key=lambda item: -item[1])[:10]
-    return [(name, part / total) for name, part in largest]
-
-
 def peak_memory() -> float:
     """Largest resident memory of a process that only builds and solves the problem [GiB]."""
     answer = subprocess.run([sys.executable, __file__, "--solve"], check=True, capture_output=True, text=True)
@@ -361,7 +327,7 @@ def main() -> None:
         NOTES.format(evaluations=differences.evaluations, repeats=2 * REPEATS),
         common.table(
             ["a solve by module", "share"],
-            [(name, f"{100 * part:.0f} %") for name, part in profile_by_module(problem)],
+            common.profile_by_module(lambda: solve_with_fosopt(problem)),
         ),
     ]
     text = "\n\n".join(body)

@@ -5,13 +5,16 @@ Times are processor seconds of the one thread that works, because other jobs on 
 
 from __future__ import annotations
 
+import cProfile
 import importlib.metadata
 import os
 import platform
+import pstats
 import re
 import statistics
 import sys
 import time
+from collections import defaultdict
 from collections.abc import Callable, Iterable, Sequence
 from datetime import UTC, datetime
 from pathlib import Path
@@ -43,6 +46,36 @@ def median_seconds(work: Callable[[], object], repeats: int) -> float:
     """Median processor time of a call after one that is not counted [s]."""
     work()
     return statistics.median(seconds(work) for _ in range(repeats))
+
+
+def profile_by_module(work: Callable[[], object]) -> list[tuple[str, str]]:
+    """Rows of a table: share of a call spent in each module of fosopt, with the libraries it calls.
+
+    The own time of a library function goes to its callers in proportion to the time it spent for each.
+    """
+    profile = cProfile.Profile()
+    profile.runcall(work)
+    functions = pstats.Stats(profile).stats  # type: ignore[attr-defined]
+    spent: defaultdict[str, float] = defaultdict(float)
+
+    def charge(function: tuple[str, int, str], time_spent: float, depth: int) -> None:
+        parts = Path(function[0]).with_suffix("").parts
+        callers = {f: counts[3] for f, counts in functions[function][4].items()}
+        whole = sum(callers.values())
+        if "fosopt" in parts:
+            last = len(parts) - 1 - parts[::-1].index("fosopt")
+            spent[".".join(parts[last:])] += time_spent
+        elif depth == 0 or whole == 0.0:
+            spent["other"] += time_spent
+        else:
+            for caller, share in callers.items():
+                charge(caller, time_spent * share / whole, depth - 1)
+
+    for function, (_, _, own, _, _) in functions.items():
+        charge(function, own, 12)
+    total = sum(spent.values())
+    largest = sorted(spent.items(), key=lambda item: -item[1])[:10]
+    return [(name, f"{100 * part / total:.0f} %") for name, part in largest]
 
 
 def table(head: Sequence[str], rows: Iterable[Sequence[object]]) -> str:
