@@ -83,6 +83,10 @@ function found = one_loop (s)
   [gain, kp, ki, kd, lag] = p{:};
   pid = gain * ss (tf ([kp * lag + kd, kp + ki * lag, ki], [lag, 1, 0]));
 
+  if (strcmp (s.hub_type, "free") == 0)
+    found.sampled = sampled_loop (ss (A, B(:, 1), plant.c(2, :), 0), s);
+  endif
+
   % u = -pid (sensed + noise) enters the first torque.
   noisy = [plant, [0; 1]];
   closed = feedback (noisy, pid, 1, 2, -1);
@@ -124,6 +128,35 @@ function found = one_loop (s)
     % SLICOT's QZ iteration sometimes does not converge: said by a missing number.
     found.largest_sensitivity = NaN;
   end_try_catch
+endfunction
+
+function found = sampled_loop (plant, s)
+  % Zero-order hold whose torque changes a computation delay after the sample: two holds to a period.
+  period = s.period;
+  late = rem (s.delay, period);
+  whole = floor (s.delay / period);
+  first = c2d (plant, late, "zoh");
+  second = c2d (plant, period - late, "zoh");
+  z = tf ("z", period);
+  held = ss (second.a * first.a, [second.a * first.b, second.b], plant.c, [0, 0], period);
+  delayed = held * [1 / z^(whole + 1); 1 / z^whole];
+  p = num2cell (s.pid);
+  [gain, kp, ki, kd, lag] = p{:};
+  if (s.backward)
+    pid = ss (gain * (kp + ki * period / 2 * (z + 1) / (z - 1) + kd * (z - 1) / ((period + lag) * z - lag)));
+  else
+    pid = c2d (gain * ss (tf ([kp * lag + kd, kp + ki * lag, ki], [lag, 1, 0])), period, "tustin");
+  endif
+  closed = feedback (delayed * pid, 1);
+  found.poles = eig (closed.a);
+  found.loop = squeeze (freqresp (delayed * pid, s.sampled_frequency(:)'));
+  found.largest_sensitivity = NaN;
+  if (max (abs (found.poles)) < 1)
+    try
+      found.largest_sensitivity = norm (feedback (1, delayed * pid), Inf, 1e-10);
+    catch
+    end_try_catch
+  endif
 endfunction
 
 pkg load control;

@@ -92,3 +92,12 @@ def poles_apart(ours: Any, theirs: Any, drifting: int) -> float:
         return float("inf")
     distance = np.abs(ours[:, None] - theirs) / np.abs(ours)[:, None]
     return float(distance[linear_sum_assignment(distance)].max())
+
+
+def farthest_pole(ours: Any, theirs: Any) -> float:
+    """Largest distance from a pole of either set to the nearest of the other.
+
+    Not in pairs: what is taken off a delay in whole periods may stand at zero more often on one side.
+    """
+    distance = np.abs(np.asarray(ours, complex)[:, None] - np.asarray(theirs, complex))
+    return float(max(distance.min(axis=0).max(), distance.min(axis=1).max()))

@@ -18,6 +18,8 @@ from fosopt.control import (
     PID,
     ClosedLoopPoles,
     Loop,
+    Sampling,
+    SignalPath,
     closed_loop_poles,
     closed_loop_response,
     gain_for_crossover,
@@ -26,6 +28,7 @@ from fosopt.metrics.disturbances import Disturbance, high_pass, low_pass
 from fosopt.metrics.functional import LoopModel
 from fosopt.metrics.jitter import jitter_variances, resonance_quadrature
 from fosopt.metrics.margins import modulus_margins
+from fosopt.metrics.sampled import SampledModel
 from fosopt.modes import Damping, Hub, ModalSet, modal_frame
 from fosopt.structure import (
     Bar,
@@ -55,6 +58,8 @@ class RandomSystem:
     ----------
     kind
         What stands in the report.
+    sampling
+        Of the same loop with a digital controller.
     low_corner, high_corner
         Of the filters that shape the disturbances [rad/s].
     """
@@ -68,6 +73,7 @@ class RandomSystem:
     loop: Loop
     low_corner: float
     high_corner: float
+    sampling: Sampling
 
     @property
     def modes(self) -> ModalSet:
@@ -101,6 +107,10 @@ class RandomSystem:
                 [a.mass, a.natural_frequency, a.damping_ratio, a.rate_gain] for a in loop.actuators
             ],
             "frequency": self.frequency,
+            "period": self.sampling.period,
+            "delay": self.sampling.delay,
+            "backward": float(self.sampling.derivative == "backward"),
+            "sampled_frequency": self.sampled_frequency,
             "low_corner": self.low_corner,
             "high_corner": self.high_corner,
         }
@@ -109,6 +119,22 @@ class RandomSystem:
     def frequency(self) -> Array:
         """(m,) Where frequency responses are compared [rad/s]."""
         return np.geomspace(0.5 * HZ, 500 * HZ, _POINTS)
+
+    @property
+    def sampled_frequency(self) -> Array:
+        """(m,) Where the sampled loop's transfer function is compared, up to the Nyquist frequency [rad/s]."""
+        return np.geomspace(0.5 * HZ, 0.99 * pi / self.sampling.period, _POINTS)
+
+    def sampled_answers(self) -> dict[str, Any]:
+        """What fosopt says of the same loop with a digital controller."""
+        pid = replace(self.loop.controller, path=SignalPath(sampling=self.sampling))
+        model = SampledModel(replace(self.loop, controller=pid), self.modes, "tip")
+        z = np.exp(1j * self.sampled_frequency * self.sampling.period)
+        return {
+            "poles": model.bare.poles,
+            "loop": model.bare.loop_transfer(z),
+            "largest_sensitivity": 1 / model.modulus_margin if model.stable else np.nan,
+        }
 
     def answers(self) -> dict[str, Any]:
         """What fosopt says: frequencies, poles, frequency responses, and norms of a stable loop."""
@@ -207,6 +233,14 @@ def random_system(number: int) -> RandomSystem:
         Loop(mirror, PID(gain, rolloff_time=rolloff, **terms), placement, actuators),
         rng.uniform(2, 30) * HZ,
         rng.uniform(20, 200) * HZ,
+        _sampling(rng, crossover),
+    )
+
+
+def _sampling(rng: np.random.Generator, crossover: float) -> Sampling:
+    period = 2 * pi / (crossover * rng.uniform(15, 60))
+    return Sampling(
+        period, period * rng.uniform(0.05, 1.7), "backward" if rng.random() < 0.5 else "trapezoidal"
     )
 
 
