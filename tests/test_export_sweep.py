@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import csv
 import os
+import resource
 import sys
 import tracemalloc
 from math import inf, nan, prod
 from pathlib import Path
+from types import SimpleNamespace
 
 import netCDF4
 import numpy as np
@@ -25,8 +27,12 @@ from fosopt.errors import FosoptError
 from fosopt.export.sweep import SweepData, write_sweep_csv, write_sweep_parquet
 from fosopt.export.sweep_matlab import write_sweep_mat
 from fosopt.export.sweep_netcdf import boxes, write_sweep_netcdf
+from fosopt.study import parse_study
 from fosopt.study.schema_names import METRICS
 from fosopt.study.schema_sweep import LISTED
+from fosopt.study.store import Block
+from fosopt.study.sweep_export import stored_pieces
+from fosopt.study.sweep_job import SweepPlan
 
 WRITERS = [write_sweep_csv, write_sweep_parquet, write_sweep_netcdf, write_sweep_mat]
 HERTZ = 2 * np.pi
@@ -223,7 +229,8 @@ def test_boxes_cover_any_range_in_its_order(shape):
 
 
 @pytest.mark.parametrize("finished", [0, 4, 6])
-def test_points_that_are_not_finished_are_nan_on_the_grid(tmp_path, finished):
+def test_points_that_are_not_finished_are_nan_on_the_grid(tmp_path, finished, monkeypatch):
+    monkeypatch.setattr("fosopt.export.sweep_netcdf._ROWS", 4)  # five points are written, and then one
     write_sweep_netcdf(fake(finished=finished), tmp_path / "a.nc")
     with netCDF4.Dataset(tmp_path / "a.nc") as file:
         file.set_auto_mask(False)
@@ -255,7 +262,8 @@ def test_two_axes_of_modes_of_one_name_and_other_lengths_are_told_apart(tmp_path
         assert (file["a_hz"].dimensions[2], file["b"].dimensions[2]) == ("mode", "mode_2")
 
 
-def test_parquet_knows_missing_numbers_and_texts(tmp_path):
+def test_parquet_knows_missing_numbers_and_texts(tmp_path, monkeypatch):
+    monkeypatch.setattr("fosopt.export.sweep._ROWS", 4)
     write_sweep_parquet(fake(), tmp_path / "a.parquet")
     table = parquet.read_table(tmp_path / "a.parquet")
     assert table.column("mirror_port").to_pylist() == [HOSTILE] * 3 + ["tip"] * 3
@@ -322,6 +330,42 @@ def test_a_write_that_fails_leaves_the_old_file_and_nothing_else(write, tmp_path
     assert (tmp_path / "a").read_text() == "old"
     with pytest.raises(FosoptError, match="cannot be written"):
         write(fake(), tmp_path / "absent" / "a")
+
+
+@pytest.mark.parametrize("write", WRITERS)
+def test_a_full_disk_is_said_in_one_line(write, tmp_path):
+    """A limit on the size of files stands for the disk; Python ignores its signal."""
+    before = resource.getrlimit(resource.RLIMIT_FSIZE)
+    data = fake((2, 1000), 40, pieces=lambda: noise(2000, 40))
+    resource.setrlimit(resource.RLIMIT_FSIZE, (30_000, before[1]))
+    try:
+        with pytest.raises(FosoptError, match=r"a: cannot be written: .*; check the directory") as caught:
+            write(data, tmp_path / "a")
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, before)
+    assert "\n" not in str(caught.value)
+    assert os.listdir(tmp_path) == []
+
+
+def noise(count, modes):
+    """Numbers that no compression makes small."""
+    random = np.random.default_rng(1)
+    scalars = np.column_stack([np.zeros(count), random.random((count, 2))])
+    yield scalars, {"a": random.random((count, modes)), "b": random.random((count, 2))}
+
+
+def test_points_between_others_that_are_not_finished_have_no_values():
+    plan = SweepPlan.of(parse_study(sweep_text()))
+    arrays = {0: np.full((2, len(plan.scalars)), 7.0)}
+    arrays |= {k: np.full((2, width), 8.0) for k, width in enumerate(plan.widths.values(), 1)}
+    blocks = [Block(first, first + 2, 0, 0, None) for first in (0, 5, 7)]
+    store = SimpleNamespace(blocks=lambda: blocks, block_arrays=lambda first: arrays)
+    pieces = list(stored_pieces(store, plan))
+    assert [scalars.shape[0] for scalars, _ in pieces] == [2, 3, 2, 2]
+    gap, by_mode = pieces[1]
+    np.testing.assert_array_equal(gap[:, :2], plan.points.rows(2, 5))
+    assert np.isnan(gap[:, 2:]).all() and all(np.isnan(values).all() for values in by_mode.values())
+    assert all(np.all(values == 8.0) for values in pieces[2][1].values())
 
 
 @pytest.mark.parametrize(

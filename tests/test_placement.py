@@ -217,7 +217,8 @@ def test_torque_leakage_is_the_difference_of_the_two_inertial_torques():
     springs = (mirror.damping * s + mirror.stiffness) * angle + (
         counter.damping * s + counter.stiffness
     ) * other
-    assert springs - 1 + 1.1 == pytest.approx(leaked, rel=1e-12)
+    # What is left of two torques that all but cancel.
+    assert np.abs(springs - 1 + 1.1 - leaked).max() <= 4 * np.finfo(float).eps
 
 
 def test_an_absorber_holds_its_port_at_its_own_frequency():

@@ -110,9 +110,8 @@ def test_jitter_by_frequency_adds_up_to_that_by_covariance(at, period, delay):
     whole = SampledModel(loop, modes, "tip", (Disturbance("w", at, shape),))
     # Beyond 4 kHz a fourth-order low pass at 60 Hz has 1e-13 of its power left.
     band = SampledModel(loop, modes, "tip", (Disturbance("w", at, shape, band=(0.0, 4000 * HZ)),))
-    # A torque drives resonances of a hundred-thousandth in half width, and the loop attenuates the rest.
-    off = 5e-7 if "torque" in at else 1e-8
-    assert band.variances["w"] == pytest.approx(whole.variances["w"], abs=0, rel=off)
+    # The loop attenuates a torque by 1e5: amplitudes that cancel leave 1e-11, squares that cancel would leave 1e-6.
+    assert band.variances["w"] == pytest.approx(whole.variances["w"], abs=0, rel=1e-9)
     # A band that begins above zero and never ends is the rest.
     above = SampledModel(loop, modes, "tip", (Disturbance("w", at, shape, band=(40 * HZ, inf)),))
     below = SampledModel(loop, modes, "tip", (Disturbance("w", at, shape, band=(0.0, 40 * HZ)),))

@@ -13,6 +13,7 @@ REPORT, TABLE, DATA = "report.html", "front.csv", "front.json"
 """Files of a run beside its record."""
 
 _MOST_ROWS = 30
+_MUCH = 0.02  # of a metric, that truncation should not take from it
 _START = "start"  # key of the start design
 _Run = Mapping[str, Any]
 
@@ -82,12 +83,24 @@ def closing(run: _Run, out: Path, seconds: float) -> Iterator[str]:
     modes = run.get("provenance", {}).get("modes", "")
     if "residual" in modes:
         yield f"modes: {modes}; peak memory {_peak_gibibytes():.2f} GiB"
-        errors = [
-            point["truncation_error"].get("jitter_total") for point in points if point["truncation_error"]
-        ]
-        if worst := max((e for e in errors if e is not None), default=None):
-            yield f"truncation changes the total jitter by up to {100 * worst:.2g} %; numbers are the truth model's"
+        yield from _truncation(points)
     yield f"open {out / REPORT} in a browser; numbers are in {out / TABLE} and {out / DATA}"
+
+
+def _truncation(points: Sequence[Mapping[str, Any]]) -> Iterator[str]:
+    """What truncation takes from the metrics of the design model: the total jitter, and whatever it changes most."""
+    worst: dict[str, float] = {}
+    for point in points:
+        for name, error in (point["truncation_error"] or {}).items():
+            worst[name] = max(error, worst.get(name, 0.0))
+    if not worst:
+        return
+    most = max(worst, key=lambda name: worst[name])
+    named = dict.fromkeys(name for name in ("jitter_total", most) if name in worst)
+    changed = " and ".join(f"{name} by up to {100 * worst[name]:.2g} %" for name in named)
+    yield f"truncation changes {changed}; numbers are the truth model's"
+    if worst[most] > _MUCH:
+        yield f"that is more than {100 * _MUCH:g} %: keep more modes than these, with 'modes: {{count: ...}}' in the study"
 
 
 def _peak_gibibytes() -> float:

@@ -20,7 +20,7 @@ from fosopt.plant import attached
 
 _SAME = 1e-13
 # Points times modes that are worked on at once: more of them leave the cache.
-BLOCK = 2**14
+BLOCK = 2**15
 
 
 @dataclass(frozen=True)

@@ -196,6 +196,10 @@ class SampledLoop:
         row = np.append(self.line_of_sight, 0.0)[None]
         return span(self._held, row, self.rest), span(self._held, row, self.period - self.rest)
 
+    def carried(self, time: float) -> Array:
+        """(n+1, n+1) What a span of time does to continuous states and the held torque behind them."""
+        return span(self._held, self._held[:0], time).carried
+
     @property
     def past(self) -> int:
         """How many past torques matter."""

@@ -96,6 +96,21 @@ def provenance_of(run: Row) -> str:
     return "; ".join(f"{key} {value}" for key, value in run["provenance"].items())
 
 
+def about(run: Row) -> dict[str, str]:
+    """Name of the run and where it came from."""
+    return {"name": str(run["name"]), **{key: str(value) for key, value in run["provenance"].items()}}
+
+
+def encoded(text: str) -> bytes:
+    """UTF-8 of a text; what that cannot hold, a lone surrogate of a file's name, is spelled out."""
+    return text.encode("utf-8", "backslashreplace")
+
+
+def plain(text: str) -> str:
+    """A text that UTF-8 can hold, see `encoded`."""
+    return encoded(text).decode("utf-8")
+
+
 def points(run: Row) -> list[Row]:
     """Points of a run, in its order."""
     return listed(run, "points")

@@ -8,8 +8,10 @@ from typing import Any
 
 from fosopt.export.columns import (
     SI,
+    about,
     column_of,
     column_units,
+    encoded,
     front_columns,
     points,
     variable_column,
@@ -44,8 +46,8 @@ def write_netcdf(run: Mapping[str, Any], path: Path) -> None:
     units, count = column_units(run), len(points(run))
     grouped = {name: matrix for name, matrix in variables(run).items() if name in run["labels"]}
     with written_to(path) as temporary, netcdf_file(temporary, "w", version=2) as file:
-        for key, value in (("name", run["name"]), *run["provenance"].items()):
-            setattr(file, key, _bytes(value))
+        for key, value in about(run).items():
+            setattr(file, key, encoded(value))
         file.createDimension("point", count)
 
         def number(name: str, axes: tuple[str, ...], unit: str, values: Any) -> None:
@@ -54,7 +56,7 @@ def write_netcdf(run: Mapping[str, Any], path: Path) -> None:
             variable[:] = np.array(values, dtype=float).reshape(variable.shape)
 
         def text(name: str, axis: str, values: Sequence[object]) -> None:
-            cells = [b"" if value is None else _bytes(value) for value in values]
+            cells = [b"" if value is None else encoded(str(value)) for value in values]
             width = max(map(len, cells), default=1) or 1
             file.createDimension(f"{name}_length", width)
             variable = file.createVariable(name, "c", (axis, f"{name}_length"))
@@ -76,7 +78,3 @@ def write_netcdf(run: Mapping[str, Any], path: Path) -> None:
             file.createDimension(axis, len(labels))
             text(axis, axis, labels)
             number(variable_column(run, name), ("point", axis), units.get(stem, SI), matrix)
-
-
-def _bytes(value: object) -> bytes:
-    return str(value).encode("utf-8", "backslashreplace")

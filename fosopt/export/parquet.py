@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from fosopt.export.columns import front_columns
+from fosopt.export.columns import about, encoded, front_columns, plain
 from fosopt.export.writing import ExportError, written_to
 
 
@@ -40,9 +40,7 @@ def write_parquet(run: Mapping[str, Any], path: Path) -> None:
         pa.field(column.name, types[column.kind], metadata={"unit": column.unit} if column.unit else None)
         for column in columns
     ]
-    # What no UTF-8 can hold, a lone surrogate of a file's name, is spelled out.
-    about = {key: str(value) for key, value in (("name", run["name"]), *run["provenance"].items())}
-    schema = pa.schema(fields, {key: text.encode("utf-8", "backslashreplace") for key, text in about.items()})
+    schema = pa.schema(fields, {key: encoded(text) for key, text in about(run).items()})
     arrays = [pa.array([_plain(value) for value in column.values], types[column.kind]) for column in columns]
     with written_to(path) as temporary:
         parquet.write_table(pa.Table.from_arrays(arrays, schema=schema), temporary)
@@ -50,5 +48,5 @@ def write_parquet(run: Mapping[str, Any], path: Path) -> None:
 
 def _plain(value: object) -> object:
     if isinstance(value, str):
-        return value.encode("utf-8", "backslashreplace").decode("utf-8")
+        return plain(value)
     return float(value) if isinstance(value, int) and not isinstance(value, bool) else value

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from fosopt.export.columns import column_of, column_units, free, provenance_of
+from fosopt.export.columns import about, column_of, column_units, encoded, free, plain, provenance_of
 from fosopt.export.text import inert
 from fosopt.export.writing import ExportError, written_to
 from fosopt.ops import Array
@@ -172,18 +172,3 @@ def gathered(pieces: Iterable[Piece], rows: int) -> Iterable[list[Piece]]:
             found = []
     if found:
         yield found
-
-
-def about(run: Mapping[str, Any]) -> dict[str, str]:
-    """Name of the run and where it came from."""
-    return {"name": str(run["name"]), **{key: str(value) for key, value in run["provenance"].items()}}
-
-
-def encoded(text: str) -> bytes:
-    """UTF-8 of a text; what that cannot hold, a lone surrogate of a file's name, is spelled out."""
-    return text.encode("utf-8", "backslashreplace")
-
-
-def plain(text: str) -> str:
-    """A text that UTF-8 can hold, see `encoded`."""
-    return encoded(text).decode("utf-8")

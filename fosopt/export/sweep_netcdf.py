@@ -10,8 +10,8 @@ from typing import Any
 
 import numpy as np
 
-from fosopt.export.columns import free
-from fosopt.export.sweep import SweepColumn, SweepData, about, gathered, plain, sweep_columns
+from fosopt.export.columns import about, free, plain
+from fosopt.export.sweep import SweepColumn, SweepData, gathered, sweep_columns
 from fosopt.export.writing import ExportError, written_to
 
 _ROWS = 4096  # points that are written together

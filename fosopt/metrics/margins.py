@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fosopt.control import ClosedLoopPoles, characteristic, loop_transfer
+from fosopt.control.open_loop import BLOCK
 from fosopt.control.phase import resonance_grid
 from fosopt.errors import SolverError
 from fosopt.metrics.functional import Functional, LoopModel
@@ -23,8 +24,12 @@ _GRID = 120
 
 def loop_transfer_slope(model: LoopModel, frequency: Array) -> tuple[ComplexArray, ComplexArray]:
     """L(jω) and dL/dω at (m,) frequencies [rad/s]."""
-    value = loop_transfer(model.loop, *model.along(model.points(1j * frequency)))
-    return value.value, 1j * value.slope
+    pieces = int(np.ceil(frequency.size * model.modes.natural_frequency.size / BLOCK))
+    found = [
+        loop_transfer(model.loop, *model.along(model.points(1j * some)))
+        for some in np.array_split(frequency, max(pieces, 1))
+    ]
+    return np.concatenate([each.value for each in found]), 1j * np.concatenate([each.slope for each in found])
 
 
 def frequency_grid(model: LoopModel, poles: ClosedLoopPoles, count: int = _GRID) -> Array:

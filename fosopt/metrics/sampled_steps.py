@@ -73,14 +73,11 @@ def sampled_peaks(sampled: SampledLoop, retargeting: Retargeting) -> dict[str, f
     _refuse_unstable(sampled)
     fastest = float(np.abs(np.linalg.eigvals(sampled.a).imag).max()) * sampled.period
     count = int(np.clip(np.ceil(_PER_RADIAN * fastest), _LEAST, _MOST))
-    n = sampled.torque.size
-    held = np.zeros((n + 1, n + 1))
-    held[:n, :n], held[:n, n] = sampled.a, sampled.torque
 
     @cache
     def rows(time: float) -> Array:
         """(count, 2, n+1) Stroke and rate at equal steps over a span of time, from the states it begins with."""
-        one = span(held, held[:0], time / count).carried
+        one = sampled.carried(time / count)
         row, found = np.column_stack([sampled.stroke, np.zeros(2)]), []
         for _ in range(count):
             row = row @ one
@@ -104,14 +101,15 @@ def sampled_peaks(sampled: SampledLoop, retargeting: Retargeting) -> dict[str, f
 def sampled_response(sampled: SampledLoop, time: Array) -> Array:
     """(m,) Mirror angle after a unit step at a sample, at (m,) ascending times, for an unstable loop too [rad]."""
     found = np.zeros(time.size)
-    n = sampled.torque.size
-    held = np.zeros((n + 1, n + 1))
-    held[:n, :n], held[:n, n] = sampled.a, sampled.torque
     row = np.append(sampled.line_of_sight, 0.0)
+
+    @cache
+    def seen(after: float) -> Array:
+        return row @ sampled.carried(after)
+
     for first, last, states, torque in _pieces(sampled, lambda k: 1.0, float(time[-1]) + sampled.period, ()):
-        for k in np.flatnonzero((time >= first) & (time < last)):
-            carried = span(held, held[:0], time[k] - first).carried
-            found[k] = row @ carried @ np.append(states, torque)
+        for k in range(*np.searchsorted(time, (first, last))):
+            found[k] = seen(round(time[k] - first, 15)) @ np.append(states, torque)
     return found
 
 
@@ -121,12 +119,10 @@ def _pieces(
     """Spans of constant torque from rest until `end`, also cut at some times: start, end, states, held torque."""
     period, own = sampled.period, sampled.states
     n = sampled.torque.size
-    held = np.zeros((n + 1, n + 1))
-    held[:n, :n], held[:n, n] = sampled.a, sampled.torque
 
     @cache
     def carried(time: float) -> Array:
-        return span(held, held[:0], time).carried[:n]
+        return sampled.carried(time)[:n]
 
     states, inner = np.zeros(n), np.zeros(own.order)
     past = [0.0] * (sampled.whole + 1)

@@ -38,6 +38,7 @@ _HALVINGS = 4
 _BATCH = 150_000  # nodes times boxes at a time
 _SAMPLES, _STARTS = 400, 3
 _LOCAL_EVALUATIONS = 150
+_SEARCH_SHARE = 0.5  # of the time that may go into good controllers to begin with
 _UNSTABLE = 1e3  # stands for the logarithm of an infinite jitter
 _AGAIN = 2.5  # time of the second bound of a box over that of the first, with room
 # Boxes are cut off at this share of the gap, which leaves room for what denser nodes change.
@@ -124,7 +125,7 @@ def best_pid(
     if start is not None and not box.contains(start):
         raise ModelError(f"start {start} is not in {box}; widen the box or leave the start out")
     search = _Search(model, disturbances, box, gap, modulus_margin * (1 - _MARGIN_SLACK))
-    search.find_controllers(start)
+    search.find_controllers(start, begin + _SEARCH_SHARE * time_limit)
     search.run(begin + time_limit)
     jitter, value = sqrt(search.variance), sqrt(search.certified)
     at_least = f" and a modulus margin of {modulus_margin:.4g}" if modulus_margin > 0 else ""
@@ -221,8 +222,8 @@ class _Search:
             self.gains, self.variance = gains, variance
         return variance
 
-    def find_controllers(self, start: PID | None) -> None:
-        """Good controllers to begin with: the best of random ones, improved without derivatives."""
+    def find_controllers(self, start: PID | None, deadline: float) -> None:
+        """Good controllers to begin with: the best of random ones, improved without derivatives until time is up."""
         found = []
         if start is not None:
             known = np.array([getattr(start, name) for name in GAINS])
@@ -233,16 +234,16 @@ class _Search:
         # Unstable controllers may look better than all stable ones.
         best_first = np.argsort(self.relaxation.variance(samples), kind="stable")
         for gains in samples[best_first]:
-            if len(found) == _STARTS:
+            if len(found) == _STARTS or (found and time.process_time() > deadline):
                 break
             if self.consider(gains) < inf:
                 found.append(gains)
         for gains in found:
-            self._improve(gains)
+            self._improve(gains, deadline)
         if self.gains is not None:
-            self._improve(self.gains)  # a simplex that has shrunk too early
+            self._improve(self.gains, deadline)  # a simplex that has shrunk too early
 
-    def _improve(self, gains: Array) -> None:
+    def _improve(self, gains: Array, deadline: float) -> None:
         whole = self.box.whole
         free = whole.high[0] > whole.low[0]
         share = self.box.share(gains)
@@ -252,11 +253,20 @@ class _Search:
             value = self.consider(self.box.at(share))
             return float(np.log(value)) if value < inf else _UNSTABLE
 
-        if free.any():
+        def stop_in_time(_: Array) -> None:
+            if time.process_time() > deadline:
+                raise StopIteration
+
+        if free.any() and time.process_time() < deadline:
             options = {"maxfev": _LOCAL_EVALUATIONS, "fatol": 1e-6, "xatol": 1e-4}
             bounds = [(0.0, 1.0)] * int(free.sum())
             optimize.minimize(
-                jitter, share[free].copy(), method="Nelder-Mead", bounds=bounds, options=options
+                jitter,
+                share[free].copy(),
+                method="Nelder-Mead",
+                bounds=bounds,
+                options=options,
+                callback=stop_in_time,
             )
 
     def run(self, deadline: float) -> None:

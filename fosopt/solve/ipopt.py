@@ -20,7 +20,7 @@ Status = Literal["optimal", "infeasible", "failed", "interrupted"]
 # With IPOPT's own six updates, or with twenty, some points of a front of the dissertation's truss stalled.
 _MEMORY = 50
 # From the usual barrier and distance to the bounds IPOPT leaves an optimum it starts at, and may end at another one.
-_NEAR = {
+_NEAR: dict[str, Any] = {
     "mu_init": 1e-6,
     "bound_push": 1e-8,
     "bound_frac": 1e-8,
@@ -167,7 +167,7 @@ def solve(
                 # A relaxed bound would let the objective fall below the true optimum.
                 "bound_relax_factor": 0.0,
                 "nlp_scaling_method": "none",
-                **(_NEAR if options.near else {}),
+                **(_NEAR if options.near else dict[str, Any]()),
             },
         },
     )

@@ -54,10 +54,10 @@ from fosopt.study.imports import imported_damping, imported_structure, read_impo
 from fosopt.study.schema_imports import Imported
 from fosopt.study.schema_names import MEMBERS
 
-# Modes that a large truss keeps where the study says nothing: those below twice the mirror's frequency, but of a number
-# that tells something and can be waited for.
-_BEYOND = 2.0
-_FEWEST, _MOST = 100, 400
+# Modes that a large truss keeps where the study says nothing: those below twice the mirror's frequency and somewhat beyond
+# the crossover, where the margin is decided, but of a number that tells something and can be waited for.
+_BEYOND, _BEYOND_CROSSOVER = 2.0, 1.25
+_FEWEST, _MOST = 100, 1000
 
 
 def build_problem(study: schema.Study) -> Problem:
@@ -236,7 +236,9 @@ def _base(study: schema.Study, structure: Structure) -> Design:
     if path.sampling is not None:
         with _at(study, "controller", "sampling"):
             discrete_controller(controller)
-    elif study.limits is not None and study.limits.torque is not None and np.isinf(torque_at_once(controller)):
+    elif (
+        study.limits is not None and study.limits.torque is not None and np.isinf(torque_at_once(controller))
+    ):
         raise study.error(
             "without a roll-off of the derivative a step asks for an infinite torque; add 'rolloff' to the controller",
             *("limits", "torque"),
@@ -310,13 +312,24 @@ def _selection(study: schema.Study, structure: Structure, base: Design) -> ModeS
     if modes is not None and (modes.below is None or not large):
         keep = None if modes.keep is None else tuple(k - 1 for k in modes.keep)
         return ModeSelection(modes.count, modes.below, keep)
-    below = _BEYOND * base.loop.mirror.natural_frequency if modes is None else modes.below
-    assert below is not None
+    if modes is None:
+        mirror_needs = _BEYOND * base.loop.mirror.natural_frequency
+        below = max(mirror_needs, _BEYOND_CROSSOVER * _rigid_crossover(base.loop))
+    else:
+        assert modes.below is not None
+        below = modes.below
     sizes = base.area, base.batten_mass, base.mirror_mass
     count = modes_below(structure, *sizes, below)
     if modes is not None:
         return ModeSelection(count)
     return ModeSelection(min(max(count, _FEWEST), _MOST))
+
+
+def _rigid_crossover(loop: Loop) -> float:
+    """About the highest frequency at which the loop of the rigidly supported mirror has a gain of one [rad/s]."""
+    pid, frequency = loop.controller, np.geomspace(1e-2, 1e6, 2000)
+    needed = gain_for_crossover(frequency, loop.mirror, pid.kp, pid.ki, pid.kd, pid.rolloff_time, pid.path)
+    return float(frequency[needed <= pid.gain].max(initial=0.0))
 
 
 def _disturbance(study: schema.Study, given: schema_system.Disturbance) -> shaping.Disturbance:

@@ -89,8 +89,7 @@ class ChosenDesign:
             self.evaluation.modes,
             self.evaluation.system.mirror_port,
         )
-        continuous = {k: s for k, s in systems(loop, modes, port).items() if s.period is None}
-        found = {**continuous, "closed_loop": closed_loop_state_space(loop, modes, port)}
+        found = {**systems(loop, modes, port), "closed_loop": closed_loop_state_space(loop, modes, port)}
         stable = {"closed_loop": self.evaluation.poles.spectral_abscissa < 0}
         notes = [] if self.doubt is None else [f"point {self.key} is not verified: {self.doubt}"]
         if "controller" not in found:

@@ -23,6 +23,7 @@ from fosopt.ops import Array, ComplexArray
 from fosopt.problem import Evaluation
 from fosopt.structure import Structure, Truss
 from fosopt.study.curves import visible
+from fosopt.study.sampled_curves import as_sampled, resolved, step_between_samples
 
 _MODES = 40  # rows of the mode table: the lowest ones
 _GRID = 240  # frequencies of a curve beside those at its resonances
@@ -32,7 +33,7 @@ _DRAWN_MODES = 5  # with a curve of their own; the others share one
 _LISTED_MODES = 12
 _SAME_MODE = 1e-9  # of two squared frequencies
 # Of a step: samples per period of the fastest oscillation that can be seen, and at most in all.
-_PER_PERIOD, _MOST, _SEEN = 12, 20_000, 1e-3
+_PER_PERIOD, _MOST, _VISIBLE = 12, 20_000, 1e-3
 
 
 def detail_of(evaluation: Evaluation) -> dict[str, Any]:
@@ -52,14 +53,17 @@ def detail_of(evaluation: Evaluation) -> dict[str, Any]:
         "cumulative": None,
         "by_mode": None,
         "step": None,
+        "sampling_rate_hz": None,
     }
+    if evaluation.sampled is not None:
+        found["sampling_rate_hz"] = 1 / evaluation.sampled.model.bare.period
     if evaluation.stable:
         names = [f"jitter_{d.name}" for d in evaluation.system.disturbances]
         found["jitter"] = {name.removeprefix("jitter_"): evaluation.value(name) for name in names}
-    # Curves are those of the continuous model, which of a sampled loop may be unstable by itself.
+        found["step"] = _step(evaluation)
+    # Spectra are those of the continuous model, which of a sampled loop may be unstable by itself.
     if evaluation.stable and evaluation.poles.spectral_abscissa < 0:
         found |= _jitter(evaluation, found["modes"])
-        found["step"] = _step(evaluation)
     return found
 
 
@@ -190,6 +194,8 @@ def _bode(evaluation: Evaluation) -> dict[str, list[float] | None]:
         grid = np.union1d(grid, resonance_grid(np.concatenate(roots), grid[0], grid[-1], 2))
     except SolverError:
         roots = None
+    if evaluation.sampled is not None:
+        grid = resolved(evaluation.sampled.model, grid)
     s = 1j * grid
     g = model.points(s).g
     transfer = loop_transfer(loop, s, g)
@@ -199,11 +205,15 @@ def _bode(evaluation: Evaluation) -> dict[str, list[float] | None]:
             phase = loop_phase(*roots, transfer, grid)
         except SolverError:
             phase = None
-    curves = [
-        np.abs(transfer),
-        np.abs(closed_loop_response("line_of_sight", loop, s, g)),
-        np.abs(closed_loop_response("command", loop, s, g)),
-    ]
+    if evaluation.sampled is None:
+        responses = (
+            closed_loop_response("line_of_sight", loop, s, g),
+            closed_loop_response("command", loop, s, g),
+        )
+    else:
+        transfer, phase = as_sampled(evaluation.sampled.model, grid, transfer, phase)
+        responses = 1 / (1 + transfer), transfer / (1 + transfer)
+    curves = [np.abs(curve) for curve in (transfer, *responses)]
     loop_level, *levels = (20 * np.log10(np.maximum(curve, 1e-300)) for curve in curves)
     both = np.maximum(levels, -_FLOOR)
     kept = visible(np.log10(grid), loop_level, both, *([] if phase is None else [phase]))
@@ -306,10 +316,22 @@ def _step(evaluation: Evaluation) -> dict[str, Any] | None:
     step = evaluation.system.step
     if step is None:
         return None
-    error = step_error(evaluation.model, evaluation.poles)
     start, end = step.window
-    time, response = _sampled(error, 0.0, end)
-    within, closely = _sampled(error, start, end)
+    if evaluation.sampled is None:
+        error = step_error(evaluation.model, evaluation.poles)
+        mean, rms = error.mean(start, end), error.rms(start, end)
+        time, response = _seen(error, 0.0, end)
+        within, closely = _seen(error, start, end)
+    else:
+        time, response = step_between_samples(evaluation.sampled.model.bare, end, _MOST)
+        inside = (time >= start) & (time <= end)
+        within, closely = time[inside], response[inside]
+        mean = np.copysign(evaluation.sampled.value("step_offset") / step.command, closely.mean())
+        rms = evaluation.sampled.value("step_rms") / step.command
+        kept = visible(time, response)
+        time, response = time[kept], response[kept]
+        kept = visible(within, closely)
+        within, closely = within[kept], closely[kept]
     response[0] = -1.0  # what is commanded takes time
     return {
         "time_s": _short(time),
@@ -318,16 +340,16 @@ def _step(evaluation: Evaluation) -> dict[str, Any] | None:
         "command": step.command,
         "window_time_s": _short(within),
         "window_error": _short(step.command * closely),
-        "mean": step.command * error.mean(start, end),
-        "rms": step.command * error.rms(start, end),
+        "mean": float(step.command * mean),
+        "rms": float(step.command * rms),
     }
 
 
-def _sampled(error: Transient, start: float, end: float) -> tuple[Array, Array]:
+def _seen(error: Transient, start: float, end: float) -> tuple[Array, Array]:
     """The error between two times, with every oscillation that can be seen."""
     size = np.abs(error.amplitude) * np.exp(error.pole.real * start)
-    seen = error.pole[size > _SEEN * size.max(initial=0.0)]
-    fastest = np.abs(seen).max(initial=0.0) / (2 * pi)
+    shown = error.pole[size > _VISIBLE * size.max(initial=0.0)]
+    fastest = np.abs(shown).max(initial=0.0) / (2 * pi)
     count = int(np.clip(_PER_PERIOD * fastest * (end - start), 400, _MOST))
     time = np.linspace(start, end, count)
     values = error(time)

@@ -1,5 +1,17 @@
 // The loop of one point: Bode plot, sensitivities and closed-loop poles.
 
+// A sampled loop is judged as it is; some figures have the continuous model that it was designed on.
+function ofModel(text) {
+  return (point) => (detailOf(point).sampling_rate_hz ? `${text} Of the continuous model of the sampled loop.` : text);
+}
+
+function asSampled(text, more = ", up to the Nyquist frequency") {
+  return (point) => {
+    const rate = detailOf(point).sampling_rate_hz;
+    return rate ? `${text} Of the loop as sampled at ${number(rate, 4)}\u00a0Hz${more}.` : text;
+  };
+}
+
 function decibels(values) {
   return values.map((value) => (value > 0 ? 20 * Math.log10(value) : null));
 }

@@ -43,41 +43,42 @@ const PANELS = [
     "by-mode",
     "half",
     "",
-    () =>
+    ofModel(
       "Line-of-sight jitter by closed-loop mode: covariance of a mode's part of the line of sight with the whole. Shares " +
-      "add to one; one below zero counteracts the others.",
+        "add to one; one below zero counteracts the others.",
+    ),
     byModeFigure,
   ],
   [
     "cumulative",
     "half",
     "",
-    () => "Cumulative jitter by source: root mean square of all that lies below a frequency.",
+    ofModel("Cumulative jitter by source: root mean square of all that lies below a frequency."),
     cumulativeFigure,
   ],
   [
     "mode-curves",
     "half",
     "",
-    () => "Cumulative jitter by mode: share in the mean square of all that lies below a frequency.",
+    ofModel("Cumulative jitter by mode: share in the mean square of all that lies below a frequency."),
     modeCurvesFigure,
   ],
   [
     "spectrum",
     "full",
     "",
-    () => "Spectrum of the line of sight by source, one-sided, six decades from its peak.",
+    ofModel("Spectrum of the line of sight by source, one-sided, six decades from its peak."),
     spectrumFigure,
   ],
   ["bode", "half", "tall", bodeCaption, bodeFigure],
   ["sensitivity", "half", "tall", sensitivityCaption, sensitivityFigure],
-  ["step", "half", "", () => "Response to a step command; the window is shaded.", stepFigure],
-  ["window", "half", "", () => "Error after the step within its window.", windowFigure],
+  ["step", "half", "", asSampled("Response to a step command; the window is shaded.", ", between samples too"), stepFigure],
+  ["window", "half", "", asSampled("Error after the step within its window.", ", between samples too"), windowFigure],
   [
     "poles",
     "half",
     "",
-    () => "Closed-loop poles, one of each conjugate pair: natural frequency and damping ratio.",
+    ofModel("Closed-loop poles, one of each conjugate pair: natural frequency and damping ratio."),
     polesFigure,
   ],
   ["modes", "full", null, modesCaption, modesTable],
@@ -90,15 +91,19 @@ let selected = null;
 let pending = 0;
 
 function bodeCaption(point) {
-  return detailOf(point).bode?.loop_phase_deg
-    ? "Loop transfer L: magnitude, and phase counted by its poles and zeros. Dotted: 0 dB and −180° (plus whole turns)."
-    : "Magnitude of the loop transfer L. Its phase is left out: a zero of L could not be found.";
+  return asSampled(
+    detailOf(point).bode?.loop_phase_deg
+      ? "Loop transfer L: magnitude, and phase counted by its poles and zeros. Dotted: 0 dB and −180° (plus whole turns)."
+      : "Magnitude of the loop transfer L. Its phase is left out: a zero of L could not be found.",
+  )(point);
 }
 
 function sensitivityCaption(point) {
-  return point.status === "unstable"
-    ? "Sensitivity S and complementary sensitivity T of an unstable closed loop: they bound no margin."
-    : "Sensitivity S and complementary sensitivity T; the peak of |S| is one over the modulus margin.";
+  return asSampled(
+    point.status === "unstable"
+      ? "Sensitivity S and complementary sensitivity T of an unstable closed loop: they bound no margin."
+      : "Sensitivity S and complementary sensitivity T; the peak of |S| is one over the modulus margin.",
+  )(point);
 }
 
 function draw(id, figure) {
