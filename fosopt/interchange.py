@@ -5,12 +5,10 @@ python-control is an optional extra, `pip install fosopt[control]`, imported whe
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from scipy import io, signal
+from scipy import signal
 
 from fosopt.control import Loop, StateSpace, loop_transfer, plant_state_space
 from fosopt.control.sampled import sampled_loop
@@ -20,7 +18,6 @@ from fosopt.control.systems import (
     sampled_plant_state_space,
 )
 from fosopt.errors import FosoptError, ModelError, did_you_mean
-from fosopt.files import replacing
 from fosopt.metrics.functional import LoopModel
 from fosopt.modes import ModalSet
 from fosopt.ops import Array
@@ -115,28 +112,6 @@ def scipy_system(system: StateSpace, input_name: str, output_name: str) -> signa
     column, row = system.inputs.index(input_name), system.outputs.index(output_name)
     parts = system.a, system.b[:, [column]], system.c[[row]], system.d[[row]][:, [column]]
     return signal.StateSpace(*parts) if system.period is None else signal.StateSpace(*parts, dt=system.period)
-
-
-def write_mat(path: Path, found: Mapping[str, StateSpace]) -> None:
-    """Systems as structures of a MATLAB file, each with A, B, C, D, its signals' names and its period.
-
-    In MATLAB or Octave: ``s = load(file); ss(s.plant.A, s.plant.B, s.plant.C, s.plant.D, s.plant.dt)``, with dt zero
-    for a continuous system.
-    """
-    structures = {
-        name: {
-            "A": system.a,
-            "B": system.b,
-            "C": system.c,
-            "D": system.d,
-            "dt": 0.0 if system.period is None else system.period,
-            "inputs": np.array(system.inputs, dtype=object),
-            "outputs": np.array(system.outputs, dtype=object),
-        }
-        for name, system in found.items()
-    }
-    with replacing(path) as temporary, temporary.open("wb") as stream:
-        io.savemat(stream, structures)
 
 
 def _control() -> Any:

@@ -10,13 +10,13 @@ import numpy as np
 import pytest
 import reference
 from sampled_loops import sampled
-from scipy import io, signal
+from scipy import signal
 
 from fosopt.control import SignalPath, closed_loop_poles, loop_transfer, low_pass_filter, pid_response
 from fosopt.control.sampled import sampled_loop
 from fosopt.control.systems import controller_state_space
 from fosopt.errors import FosoptError, ModelError
-from fosopt.interchange import control_system, loop_transfer_data, scipy_system, systems, write_mat
+from fosopt.interchange import control_system, loop_transfer_data, scipy_system, systems
 from fosopt.metrics.functional import LoopModel
 
 
@@ -115,18 +115,6 @@ def test_scipy_gets_one_input_and_one_output(built):
     assert isinstance(digital, signal.dlti) and digital.dt == 2e-4
     with pytest.raises(ModelError, match="mirror_angle"):
         scipy_system(found["plant"], "hub_torque", "mirror_angel")
-
-
-def test_a_mat_file_holds_every_system_with_its_names(built, tmp_path):
-    _, _, found = built
-    write_mat(tmp_path / "loop.mat", found)
-    read = io.loadmat(tmp_path / "loop.mat", squeeze_me=True, struct_as_record=False)
-    for name, system in found.items():
-        np.testing.assert_array_equal(np.reshape(read[name].A, system.a.shape), system.a)
-        np.testing.assert_array_equal(np.reshape(read[name].D, system.d.shape), system.d)
-        assert list(np.atleast_1d(read[name].inputs)) == list(system.inputs)
-        assert read[name].dt == (system.period or 0.0)
-    assert [path.name for path in tmp_path.iterdir()] == ["loop.mat"]
 
 
 def test_an_ideal_derivative_is_left_out_of_the_continuous_systems():

@@ -464,6 +464,20 @@ def test_a_point_computed_again_has_the_same_numbers(whole, key):
     assert found["point"]["key"] == key
 
 
+def test_a_sweep_that_reads_a_side_file_is_the_same_with_workers_and_again(tmp_path, monkeypatch):
+    text = analysis((section(TEMPLATE, "constraints"), ""), bays=2).replace("kind: analysis", "kind: sweep")
+    text = text.replace(section(text, "damping"), "damping:\n  table: damp.csv\n")
+    (tmp_path / "damp.csv").write_text("frequency_hz,damping_ratio\n1,0.002\n1000,0.01\n")
+    axis = "    - quantity: mirror_mass\n      list: [200 kg, 250 kg, 300 kg]\n"
+    text += f"\nsweep:\n  axes:\n{axis}  outputs: [stable, jitter_total]\n"
+    found = parse_study(text, tmp_path)
+    monkeypatch.setattr("fosopt.study.sweep._THERE", 1)
+    run_study(found, tmp_path / "here")
+    run_study(found, tmp_path / "there", workers=Workers(1))
+    assert (tmp_path / "here/points.csv").read_bytes() == (tmp_path / "there/points.csv").read_bytes()
+    assert rerun_point(tmp_path / "here" / RECORD, "2", lambda: False)["differs"] == {}
+
+
 def test_a_point_of_a_sweep_computed_again_has_the_same_numbers(whole_sweep):
     found = rerun_point(whole_sweep / RECORD, "301", lambda: False)
     assert found["differs"] == {}

@@ -367,4 +367,7 @@ def check_against_lyapunov(system, design):
                 found.value(f"jitter_{disturbance.name}")
             continue
         expected = independent_variance(found, space, disturbance)
-        assert found.mean_squares[f"jitter_{disturbance.name}"] == pytest.approx(expected, rel=1e-5)
+        # The Lyapunov equation of a stiff state matrix loses digits, and all of them where nothing is coupled.
+        assert found.mean_squares[f"jitter_{disturbance.name}"] == pytest.approx(
+            expected, rel=1e-4, abs=1e-20
+        )

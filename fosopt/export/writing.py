@@ -24,13 +24,7 @@ def written_to(path: Path) -> Iterator[Path]:
         If the file cannot be written, or is a device or a pipe.
     """
     try:
-        # A link stays and what it leads to is replaced; a device or a pipe must never be.
-        target = path.resolve()
-        if target.exists() and not (target.is_file() or target.is_dir()):
-            raise ExportError(
-                f"{path}: is a device or a pipe, and only a file can be replaced; give another path"
-            )
-        with replacing(target) as temporary:
+        with replacing(path) as temporary:
             yield temporary
     except OSError as error:
         reason = error.strerror or str(error)

@@ -8,7 +8,7 @@ import threading
 import time
 import uuid
 from collections.abc import Callable
-from contextlib import suppress
+from contextlib import ExitStack, suppress
 from types import TracebackType
 from typing import Any, Self
 
@@ -17,6 +17,7 @@ from distributed.diagnostics.plugin import WorkerPlugin
 from distributed.scheduler import KilledWorker
 
 from fosopt.errors import StoppedError
+from fosopt.study.build import build_problem
 from fosopt.study.engine import Asked, Job
 from fosopt.study.work import Parcel, job_of, late_reason
 
@@ -40,6 +41,7 @@ class Delivery(WorkerPlugin):
     def __init__(self, name: str, parcel: Parcel) -> None:
         self.name, self.parcel = name, parcel
         self.job: Any = None
+        self.files: ExitStack | None = None
 
     def setup(self, worker: Any) -> None:
         """Leave Ctrl-C to the process that began the run."""
@@ -51,7 +53,10 @@ class Delivery(WorkerPlugin):
     def work(self) -> Any:
         """What is done with requests, made ready once per worker."""
         if self.job is None:
-            self.job = job_of(*self.parcel.opened())
+            # A sweep builds structures as it goes, so that the files stay for as long as the worker does.
+            self.files = ExitStack()
+            study = self.files.enter_context(self.parcel.laid_out())
+            self.job = job_of(study, build_problem(study))
         return self.job
 
 

@@ -16,7 +16,7 @@ from fosopt.study.provenance import LIBRARIES, environment
 from fosopt.study.resume import recorded_files
 from fosopt.study.schema import Study
 from fosopt.study.store import Store
-from fosopt.study.work import PointJob, opened
+from fosopt.study.work import PointJob, laid_out, opened
 
 # What a point says of the process that found it, and of other points.
 _NOT_OF_THE_POINT = ("seconds", "dominated")
@@ -43,7 +43,9 @@ def rerun_point(path: Path, key: str, stop: Callable[[], bool]) -> dict[str, Any
         if header["kind"] == "sweep":
             from fosopt.study.sweep_job import rerun_sweep_point
 
-            return rerun_sweep_point(store, opened(files)[0], key)
+            # Every structure of a sweep is built anew, from the study's files.
+            with laid_out(files) as study:
+                return rerun_sweep_point(store, study, key)
         points = {point["key"]: point for point in store.run()["points"]}
     if key not in points:
         raise StudyError(f"the run has no point '{key}'; {did_you_mean(key, points)}")

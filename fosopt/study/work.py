@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import tempfile
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -43,8 +44,9 @@ class Parcel:
     files: Mapping[str, bytes]
     environment: Mapping[str, str]
 
-    def opened(self) -> tuple[Study, Problem]:
-        """The study and its problem.
+    @contextmanager
+    def laid_out(self) -> Iterator[Study]:
+        """The study, while its files stand in a folder of their own.
 
         Raises
         ------
@@ -57,11 +59,25 @@ class Parcel:
                 f"a worker has {differs}; results would not be the same to the last bit: give every worker the "
                 "environment of this run"
             )
-        return opened(self.files)
+        with laid_out(self.files) as study:
+            yield study
 
 
 def opened(files: Mapping[str, bytes]) -> tuple[Study, Problem]:
     """The study of files by name, and its problem, which needs the files no more.
+
+    Raises
+    ------
+    StudyError
+        If the files break a rule.
+    """
+    with laid_out(files) as study:
+        return study, build_problem(study)
+
+
+@contextmanager
+def laid_out(files: Mapping[str, bytes]) -> Iterator[Study]:
+    """The study of files by name, while they stand in a folder of their own.
 
     Raises
     ------
@@ -73,8 +89,7 @@ def opened(files: Mapping[str, bytes]) -> tuple[Study, Problem]:
             path = Path(folder) / name
             path.parent.mkdir(parents=True, exist_ok=True)
             path.write_bytes(content)
-        study = parse_study(files[STUDY].decode(), folder, STUDY)
-        return study, build_problem(study)
+        yield parse_study(files[STUDY].decode(), folder, STUDY)
 
 
 @dataclass(frozen=True)
