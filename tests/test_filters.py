@@ -253,6 +253,7 @@ def test_loops_with_filters_are_left_to_one_at_a_time():
     ("make", "says"),
     [
         (lambda: Filter((1.0,), (1.0, -2.0)), "does not decay"),
+        (lambda: Filter((1.0,), (1.0, 0.0)), "does not decay"),
         (lambda: Filter((1.0, 2.0, 3.0), (1.0, 2.0)), "more zeros than poles"),
         (lambda: Filter((0.0, 1.0), (1.0, 2.0)), "leading one"),
         (lambda: Filter((1.0,), (1.0, np.nan)), "finite"),

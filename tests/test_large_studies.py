@@ -14,6 +14,8 @@ from small_studies import analysis, run_text, single
 import fosopt.certify as certify_module
 from fosopt.account import account
 from fosopt.certify import certify
+from fosopt.cli.outcome import _truncation
+from fosopt.control import gain_for_crossover
 from fosopt.errors import ModelError
 from fosopt.expressions import parse_expression
 from fosopt.problem import Evaluation, ModeSelection, Rows
@@ -82,6 +84,35 @@ def test_a_study_keeps_what_it_asks_for_or_what_the_mirror_needs(given, count, m
         frequency = Evaluation(replace(problem.system, selection=ModeSelection()), problem.base)
         count = int(np.count_nonzero(np.sqrt(frequency.frame.eigenvalue) < 100 * HZ))
     assert problem.system.selection == ModeSelection(count)
+
+
+@pytest.mark.usefixtures("everything_is_large")
+def test_a_study_keeps_the_modes_about_the_crossover_of_its_loop(monkeypatch, tmp_path):
+    monkeypatch.setattr("fosopt.study.build._FEWEST", 1)
+    monkeypatch.setattr("fosopt.study.build._BEYOND", 0.0)
+    problem = build_problem(parse_study(analysis(bays=8), tmp_path))
+    whole = Evaluation(replace(problem.system, selection=ModeSelection()), problem.base)
+    pid, mirror = problem.base.loop.controller, problem.base.loop.mirror
+    crossover = optimize.brentq(
+        lambda w: gain_for_crossover(w, mirror, pid.kp, pid.ki, pid.kd, pid.rolloff_time) - pid.gain,
+        2 * mirror.natural_frequency,
+        1e5,
+    )
+    frequency = np.sqrt(whole.frame.eigenvalue)
+    # The crossover is taken from a grid of one percent.
+    assert np.all(np.abs(frequency / (1.25 * crossover) - 1) > 0.02)
+    count = int(np.count_nonzero(frequency < 1.25 * crossover))
+    assert problem.system.selection == ModeSelection(count)
+
+
+def test_the_end_of_a_run_names_what_truncation_changes_most_and_asks_for_more_modes():
+    def lines(error):
+        return list(_truncation([{"truncation_error": {}}, {"truncation_error": error}]))
+
+    assert lines({}) == []
+    (small,) = lines({"jitter_total": 1e-3, "modulus_margin": 1e-2})
+    assert "jitter_total by up to 0.1 % and modulus_margin by up to 1 %" in small
+    assert "modes: {count:" in lines({"jitter_total": 1e-3, "modulus_margin": 0.23})[-1]
 
 
 @pytest.mark.usefixtures("everything_is_large")

@@ -308,28 +308,37 @@ def test_infinite_variances_are_refused():
         _ = SampledModel(*sampled(2e-4), "tip", air).variances
 
 
-def test_a_hold_of_constant_torque_has_the_power_of_its_sequence():
+@pytest.mark.parametrize(("at", "turns", "count"), [("sensor_noise", 7, 40), ("line_of_sight", 807, 2000)])
+def test_a_hold_of_constant_torque_has_the_power_of_its_sequence(at, turns, count):
     # A rigid mirror fed one frequency: power between samples by a plain average over one period of both.
     period = 2e-3
     loop, modes = rigid(2e3, Sampling(period, 0.5e-3), damping_ratio=0.3)
     model = SampledModel(loop, modes, "tip")
     assert model.stable
-    # A frequency commensurate with the sampling: seven periods of it in forty samples.
-    frequency, samples, count = 2 * pi * 7 / (40 * period), 40, 40
-    power = model.power("sensor_noise", np.array([frequency]))[0]
+    # A frequency commensurate with the sampling: whole periods of it in forty samples, twenty in each for the fast one.
+    frequency, samples = 2 * pi * turns / (40 * period), 40
+    power = model.power(at, np.array([frequency]))[0]
     z = np.exp(1j * frequency * period)
     transfer = model.bare.loop_transfer(np.array([z]))[0]
     torque = -model.bare.controller.response(np.array([z]))[0] / (1 + transfer)
     a, b = np.array([[0.0, 1.0], [-1e4, -60.0]]), np.array([0.0, 1.0])
-    fine = period / count
     whole = np.zeros((3, 3))
     whole[:2, :2], whole[:2, 2] = a, b
-    carried = linalg.expm(whole * fine)
+    # From instant to instant within a period, and over a quarter and the rest of it.
+    fine = linalg.expm(whole * period / count)
+    powers = [np.eye(3)]
+    for _ in range(count):
+        powers.append(fine @ powers[-1])
+    powers, late = np.array(powers), count // 4
     x, seen = np.zeros(2, dtype=complex), []
     for k in range(-400, samples):
-        for j in range(count):
-            held = torque * z ** (k if j >= 10 else k - 1)
-            if k >= 0:
-                seen.append(abs(x[0]) ** 2)
-            x = (carried @ np.append(x, held))[:2]
-    assert power == pytest.approx(np.mean(seen), abs=0, rel=1e-3)
+        before = powers[:late] @ np.append(x, torque * z ** (k - 1))
+        middle = (powers[late] @ np.append(x, torque * z ** (k - 1)))[:2]
+        after = powers[: count - late] @ np.append(middle, torque * z**k)
+        if k >= 0:
+            direct = float(at == "line_of_sight") * np.exp(
+                1j * frequency * (k + np.arange(count) / count) * period
+            )
+            seen.append(np.mean(np.abs(np.concatenate([before, after])[:, 0] + direct) ** 2))
+        x = (powers[count - late] @ np.append(middle, torque * z**k))[:2]
+    assert power == pytest.approx(np.mean(seen), abs=0, rel=1e-3 if at == "sensor_noise" else 1e-6)

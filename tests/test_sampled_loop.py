@@ -242,5 +242,7 @@ def test_what_cannot_be_sampled_is_refused():
         discrete_controller(sampled(2e-4, rolloff_time=0.0, derivative="trapezoidal")[0].controller)
     with pytest.raises(ModelError, match="Nyquist"):
         discrete_controller(sampled(2e-3)[0].controller)
+    with pytest.raises(ModelError, match="Nyquist"):
+        trapezoidal(notch_filter(np.pi, 0.3), 1.0)
     with pytest.raises(SolverError, match="stays below one"):
         _ = SampledModel(*rigid(1.0, Sampling(1e-3)), "tip").loop_crossover

@@ -223,7 +223,10 @@ class _Search:
         return variance
 
     def find_controllers(self, start: PID | None, deadline: float) -> None:
-        """Good controllers to begin with: the best of random ones, improved without derivatives until time is up."""
+        """Good controllers to begin with: the best of random ones, improved without derivatives until time is up.
+
+        The first is improved in any case.
+        """
         found = []
         if start is not None:
             known = np.array([getattr(start, name) for name in GAINS])
@@ -238,8 +241,8 @@ class _Search:
                 break
             if self.consider(gains) < inf:
                 found.append(gains)
-        for gains in found:
-            self._improve(gains, deadline)
+        for k, gains in enumerate(found):
+            self._improve(gains, deadline if k else inf)
         if self.gains is not None:
             self._improve(self.gains, deadline)  # a simplex that has shrunk too early
 

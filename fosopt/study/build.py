@@ -54,10 +54,11 @@ from fosopt.study.imports import imported_damping, imported_structure, read_impo
 from fosopt.study.schema_imports import Imported
 from fosopt.study.schema_names import MEMBERS
 
-# Modes that a large truss keeps where the study says nothing: those below twice the mirror's frequency and somewhat beyond
-# the crossover, where the margin is decided, but of a number that tells something and can be waited for.
+# Modes that a large truss keeps where the study says nothing: those below twice the mirror's frequency and somewhat
+# beyond the crossover, where the margin is decided, but of a number that tells something and that the judge, whose
+# time grows with its cube, can be waited for.
 _BEYOND, _BEYOND_CROSSOVER = 2.0, 1.25
-_FEWEST, _MOST = 100, 1000
+_FEWEST, _MOST = 100, 400
 
 
 def build_problem(study: schema.Study) -> Problem:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from math import pi
 from typing import Literal
 
 from fosopt.control import (
@@ -55,10 +54,7 @@ def loop_filter(given: LoopFilter) -> Filter:
 
 
 def _sampling(given: LoopSampling) -> Sampling:
-    # A rate is a frequency, and frequencies are rad/s here.
-    period = 2 * pi / given.rate if given.rate is not None else given.period
-    assert period is not None
-    return Sampling(period, given.delay, given.derivative, given.pade_order)
+    return Sampling(given.seconds, given.delay, given.derivative, given.pade_order)
 
 
 def mirror_limits(study: Study) -> tuple[Retargeting | None, tuple[Constraint, ...]]:

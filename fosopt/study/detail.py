@@ -323,7 +323,7 @@ def _step(evaluation: Evaluation) -> dict[str, Any] | None:
         time, response = _seen(error, 0.0, end)
         within, closely = _seen(error, start, end)
     else:
-        time, response = step_between_samples(evaluation.sampled.model.bare, end, _MOST)
+        time, response = step_between_samples(evaluation.sampled.model.bare, step.window, _MOST)
         inside = (time >= start) & (time <= end)
         within, closely = time[inside], response[inside]
         mean = np.copysign(evaluation.sampled.value("step_offset") / step.command, closely.mean())

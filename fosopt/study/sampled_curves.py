@@ -39,9 +39,16 @@ def as_sampled(
     return sampled, None if phase is None else phase + np.angle(sampled / transfer, deg=True)
 
 
-def step_between_samples(sampled: SampledLoop, end: float, most: int) -> tuple[Array, Array]:
-    """(m,), (m,) Times until `end` [s] and the error after a unit step there, at most about `most` points."""
-    periods = int(np.ceil(end / sampled.period))
+def step_between_samples(sampled: SampledLoop, window: tuple[float, float], most: int) -> tuple[Array, Array]:
+    """(m,), (m,) Times up to the end of a window [s], its edges among them, and the error after a unit step then.
+
+    Parameters
+    ----------
+    most
+        About how many there are to be, unless there are more samples.
+    """
+    periods = int(np.ceil(window[1] / sampled.period))
     each = int(np.clip(most // periods, 1, _PER_PERIOD))
-    time = np.minimum(sampled.period / each * np.arange(periods * each + 1), end)
+    grid = sampled.period / each * np.arange(periods * each)
+    time = np.union1d(grid[grid < window[1]], window)
     return time, sampled_response(sampled, time) - 1

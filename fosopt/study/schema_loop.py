@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from math import pi
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, Self
 
 from pydantic import Field, model_validator
@@ -21,7 +22,7 @@ from fosopt.study.schema_base import (
     exactly_one,
     parsed,
 )
-from fosopt.units import quote
+from fosopt.units import quote, show
 
 if TYPE_CHECKING:
     from fosopt.study.schema import Study
@@ -29,6 +30,8 @@ if TYPE_CHECKING:
 FilterOrder = Annotated[int, Field(strict=True, ge=1, le=8)]
 PadeOrder = Annotated[int, Field(strict=True, ge=1, le=6)]
 Coefficients = Annotated[tuple[Number, ...], Field(min_length=1, max_length=20)]
+# Faster than any controller; in periods; of a step or a retargeting sequence, a tenth of a millisecond each.
+_HIGHEST_RATE, _MOST_DELAY, _MOST_SAMPLES = 1e8, 100, 1_000_000
 Depth = Annotated[float, Quantity("ratio", "nonnegative")]
 ProportionalTorque = Annotated[float, Quantity("rotational_stiffness", "nonnegative")]
 PositiveTorqueGain = Annotated[float, Quantity("rotational_stiffness", "positive")]
@@ -113,6 +116,14 @@ class LoopSampling(Section):
         exactly_one(self, "rate", "period")
         return self
 
+    @property
+    def seconds(self) -> float:
+        """Time between samples [s]."""
+        # A rate is a frequency, and frequencies are rad/s here.
+        period = 2 * pi / self.rate if self.rate is not None else self.period
+        assert period is not None
+        return period
+
 
 class ParallelGains(Section):
     """K(s) = proportional + integral/s + derivative s/(1 + filter_time s)."""
@@ -182,12 +193,49 @@ def check_loop(study: Study) -> None:
             *("sweep", "boundary"),
             of_key=True,
         )
+    _check_sampling(study, sampling)
     if controller.kd and not controller.rolloff and sampling.derivative == "trapezoidal":
         raise RuleError(
             "the trapezoidal rule makes an ideal derivative ring at every second sample; add 'rolloff', or write "
             "'derivative: backward'",
             *("controller", "sampling", "derivative"),
         )
+
+
+def _check_sampling(study: Study, sampling: LoopSampling) -> None:
+    """Refuse what no digital controller does, mostly for a forgotten unit, and what would take for ever."""
+    at = "controller", "sampling"
+    given = "rate" if sampling.rate is not None else "period"
+    period = sampling.seconds
+    beyond = f"not below the Nyquist frequency {show(pi / period, 'frequency')}; sample faster, or lower it"
+    if period < 1 / _HIGHEST_RATE:
+        raise RuleError(
+            f"{1 / period:.3g} samples a second, at most {_HIGHEST_RATE:.0e} can be; sample slower",
+            *at,
+            given,
+        )
+    if sampling.delay > _MOST_DELAY * period:
+        raise RuleError(
+            f"{sampling.delay:.6g} s are {sampling.delay / period:.6g} periods, at most {_MOST_DELAY} can be; give the "
+            "time in its unit, such as 120 us",
+            *at,
+            "delay",
+        )
+    crossover = study.controller.crossover
+    if crossover is not None and crossover * period >= pi:
+        raise RuleError(f"{show(crossover, 'frequency')} is {beyond}", "controller", "crossover")
+    for k, variable in enumerate(study.variables):
+        if variable.quantity == "crossover" and variable.upper * period >= pi:
+            raise RuleError(f"{show(variable.upper, 'frequency')} is {beyond}", "variables", k, "upper")
+    if study.step is not None:
+        lasts = study.step.window[1] * (1 if study.limits is None else study.limits.engagements)
+        if lasts > _MOST_SAMPLES * period:
+            raise RuleError(
+                f"{lasts:.6g} s are {lasts / period:.3g} samples, at most {_MOST_SAMPLES} are followed; sample slower, "
+                "or shorten the step's window",
+                *at,
+                given,
+            )
 
 
 FORMS: dict[str, type[ParallelGains | IdealGains | SeriesGains]] = {
