@@ -27,7 +27,9 @@ def model_of(problem, **options) -> om.Problem:
 
 
 def test_openmdao_s_own_check_finds_the_partial_derivatives_exact(problem):
-    model = model_of(problem, metrics=["jitter_total", "modulus_margin", "1e6 * jitter_total + structural_mass"])
+    model = model_of(
+        problem, metrics=["jitter_total", "modulus_margin", "1e6 * jitter_total + structural_mass"]
+    )
     model.setup()
     model.run_model()
     checks = model.check_partials(
