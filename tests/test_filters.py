@@ -10,10 +10,12 @@ import pytest
 import reference
 from scipy import linalg, signal
 
+from fosopt.actuators import Mirror
 from fosopt.control import (
     NUMERATORS,
     PID,
     Filter,
+    Loop,
     Sampling,
     SignalPath,
     closed_loop_poles,
@@ -32,6 +34,7 @@ from fosopt.control import (
 from fosopt.control.filter_states import filter_state_space
 from fosopt.control.locus import root_locus
 from fosopt.control.many import many_closed_loop_poles
+from fosopt.control.poles import _controller_poles
 from fosopt.errors import ModelError
 from fosopt.metrics.functional import LoopModel
 from fosopt.metrics.jitter import jitter_variances
@@ -273,3 +276,14 @@ def test_loops_with_filters_are_left_to_one_at_a_time():
 def test_filters_and_samplings_that_cannot_be_are_refused(make, says):
     with pytest.raises(ModelError, match=says):
         make()
+
+
+@pytest.mark.parametrize("gains", [{"ki": 50.0}, {}, {"kd": 0.01, "ki": 3.0, "rolloff_time": 1e-3}])
+def test_poles_of_a_filtered_loop_on_rigid_ground_are_where_its_search_starts(gains):
+    path = SignalPath((notch_filter(300.0, 0.3, 0.2), low_pass_filter(900.0, 2)))
+    controller = PID(2e3, **({"kp": 1.0, "ki": 0.0, "kd": 0.0} | gains), path=path)
+    mirror = Mirror(1.0, 100.0, 0.05)
+    poles = _controller_poles(Loop(mirror, controller))
+    assert poles.size == 6 + (controller.ki > 0) + (controller.kd > 0)
+    plant = mirror.inertia * poles**2 + mirror.damping * poles + mirror.stiffness
+    np.testing.assert_allclose(pid_response(controller, poles) / plant, -1, rtol=1e-9)

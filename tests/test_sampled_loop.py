@@ -231,6 +231,15 @@ def test_the_modulus_margin_is_the_least_of_a_dense_sweep():
     assert abs(at_crossover[0]) == pytest.approx(1, abs=0, rel=1e-9)
 
 
+def test_a_delay_of_whole_periods_leaves_no_sliver_of_one():
+    for delay in (3e-4, 3e-4 * (1 + 3e-16), 3e-4 * (1 - 3e-16)):
+        loop, modes = sampled(1e-4, delay)
+        found = sampled_loop(loop, modes, "tip")
+        assert (found.whole, found.rest) == (3, 0.0)
+    late = sampled_loop(*sampled(1e-4, 3.25e-4), "tip")
+    assert late.whole == 3 and late.rest == pytest.approx(0.25e-4, abs=0, rel=1e-9)
+
+
 def test_what_cannot_be_sampled_is_refused():
     loop, modes = sampled(2e-4)
     free = reference.modes_of(reference.structure(), Hub("free"))

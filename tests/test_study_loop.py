@@ -141,6 +141,18 @@ def test_an_analysis_reports_the_sampled_loop_and_what_the_model_is_off(tmp_path
     assert point["verified"] and point["metrics"]["jitter_total"] == found.metrics["jitter_total"]
 
 
+@pytest.mark.parametrize(("given", "pattern"), [("square_wave", "square wave"), ("staircase", "staircase")])
+def test_limits_are_checked_on_the_sequence_asked_for(given, pattern):
+    _, problem = problem_of(
+        built(extra=LIMITS.replace("engagements: 3", f"engagements: 3, pattern: {given}"))
+    )
+    found = problem.system.retargeting
+    assert (found.count, found.pattern) == (3, pattern)
+    assert (found.command, found.settling_time, found.dwell_time) == pytest.approx(
+        (1e-5, 0.02, 0.03), abs=0, rel=1e-9
+    )
+
+
 def test_a_limit_that_is_broken_is_said_and_one_that_holds_is_not():
     study, problem = problem_of(built(extra=LIMITS.replace("2 kN m", "1e-3 N m")))
     found = certify(problem, start_vector(study, problem), problem.constraints)
@@ -266,9 +278,10 @@ def test_corrections_stay_near_the_optimum_they_start_from(monkeypatch):
     assert abs(seen[0][0] - last) > 1e-6
     assert found.iterations == first.iterations + sum(each.iterations for _, _, each in seen)
     assert found.seconds == pytest.approx(first.seconds + sum(each.seconds for _, _, each in seen))
-    # From the optimum itself few iterations are needed, and the same one is found.
-    again = reach(replace(goal, constraints=goal.constraints), first.x, "simultaneous", Options(near=True))
+    # From the optimum itself it is found again, without the detour through the interior that it takes otherwise.
+    again = reach(goal, first.x, "simultaneous", Options(near=True))
     assert again.objective == pytest.approx(first.objective, abs=0, rel=1e-5)
+    assert again.iterations < 0.5 * reach(goal, first.x, "simultaneous", Options()).iterations
 
 
 def test_a_correction_that_fails_nearby_is_tried_from_further_off(monkeypatch):
@@ -350,6 +363,7 @@ def test_a_report_shows_the_loop_as_sampled():
     step = detail["step"]
     time = np.array(step["time_s"])
     assert time[-1] == pytest.approx(0.05) and step["response"][0] == 0
+    assert np.any(np.abs(5000 * time - np.round(5000 * time)) > 0.1), "nothing between samples"
     np.testing.assert_allclose(
         step["response"][1:], 1e-5 * sampled_response(model.bare, time)[1:], rtol=0, atol=1e-5 * 1e-3
     )
