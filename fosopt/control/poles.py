@@ -22,7 +22,7 @@ from fosopt.control.loop import Loop, Receptances, attach, characteristic, imped
 from fosopt.control.open_loop import BLOCK, OpenLoopPoles, moving_pairs, open_loop_poles
 from fosopt.control.pid import pid_response
 from fosopt.control.state_space import closed_loop_state_space
-from fosopt.errors import SolverError
+from fosopt.errors import SolverError, UnstableError
 from fosopt.modes import ModalSet
 from fosopt.ops import Array, ComplexArray, Dual
 
@@ -70,6 +70,19 @@ class ClosedLoopPoles:
         """
         uncoupled = self.open_loop.uncoupled
         return float(max(self.value.real.max(), uncoupled.real.max() if uncoupled.size else -np.inf))
+
+    def refuse_unstable(self, shift: float = 0.0) -> None:
+        """Let pass what decays faster than e^{shift t} alone, `shift` in rad/s.
+
+        Raises
+        ------
+        UnstableError
+            If a pole does not lie left of `shift`.
+        """
+        if not self.spectral_abscissa < shift:
+            raise UnstableError(
+                f"closed loop is unstable: a pole has the real part {self.spectral_abscissa:.6g} rad/s"
+            )
 
     def receptances(self) -> Receptances:
         """Receptances of the structure with its attachments at the poles, with their derivatives in `s`."""

@@ -28,7 +28,6 @@ from fosopt.control import (
     characteristic,
     closed_loop_response,
 )
-from fosopt.errors import UnstableError
 from fosopt.metrics.disturbances import Disturbance, refuse_infinite_variance
 from fosopt.metrics.functional import Functional, LoopModel
 from fosopt.ops import Array, ComplexArray, Dual
@@ -63,10 +62,7 @@ def jitter_variances(
     UnstableError
         If a closed-loop pole does not lie left of `shift`: an unstable loop has no jitter.
     """
-    if not poles.spectral_abscissa < shift:
-        raise UnstableError(
-            f"closed loop is unstable: a pole has the real part {poles.spectral_abscissa:.6g} rad/s"
-        )
+    poles.refuse_unstable(shift)
     for disturbance in disturbances:
         refuse_infinite_variance(disturbance, model.loop, poles.open_loop.drifting)
     rational = [d for d in disturbances if d.by_residues and _apart(poles, d)]

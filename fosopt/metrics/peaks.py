@@ -7,7 +7,6 @@ from math import inf, prod
 import numpy as np
 
 from fosopt.control import PID, ClosedLoopPoles
-from fosopt.errors import UnstableError
 from fosopt.metrics.functional import LoopModel
 from fosopt.metrics.jitter import pole_residues
 from fosopt.metrics.sequence import Retargeting, repeated
@@ -27,10 +26,7 @@ def peaks(model: LoopModel, poles: ClosedLoopPoles, retargeting: Retargeting) ->
     UnstableError
         If the loop is unstable.
     """
-    if not poles.spectral_abscissa < 0:
-        raise UnstableError(
-            f"closed loop is unstable: a pole has the real part {poles.spectral_abscissa:.6g} rad/s"
-        )
+    poles.refuse_unstable()
     found = {}
     for name, after in _steps(model, poles).items():
         if after is None:

@@ -17,7 +17,6 @@ from math import pi
 import numpy as np
 
 from fosopt.control import ClosedLoopPoles, closed_loop_response
-from fosopt.errors import UnstableError
 from fosopt.metrics.disturbances import Disturbance
 from fosopt.metrics.functional import LoopModel
 from fosopt.metrics.jitter import pole_residues, poles_of_filters, resonance_quadrature
@@ -72,10 +71,7 @@ def jitter_spectrum(
     UnstableError
         If the loop is unstable.
     """
-    if not poles.spectral_abscissa < 0:
-        raise UnstableError(
-            f"closed loop is unstable: a pole has the real part {poles.spectral_abscissa:.6g} rad/s"
-        )
+    poles.refuse_unstable()
     nodes, weights = _quadrature(poles, disturbances)
     points = model.points(1j * nodes)
     open_loop = poles.open_loop

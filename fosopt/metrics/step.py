@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from fosopt.control import ClosedLoopPoles
-from fosopt.errors import ModelError, UnstableError
+from fosopt.errors import ModelError
 from fosopt.metrics.functional import Functional, LoopModel
 from fosopt.metrics.jitter import gauss
 from fosopt.metrics.transient import Transient, mean_exponential, step_error
@@ -50,10 +50,7 @@ def step_response(model: LoopModel, poles: ClosedLoopPoles, time: Array) -> Arra
 
 
 def _settling(model: LoopModel, poles: ClosedLoopPoles) -> Transient:
-    if not poles.spectral_abscissa < 0:
-        raise UnstableError(
-            f"closed loop is unstable: a pole has the real part {poles.spectral_abscissa:.6g} rad/s"
-        )
+    poles.refuse_unstable()
     return step_error(model, poles)
 
 
