@@ -1,26 +1,24 @@
 """Change one operation of the mathematics at a time and see whether a test notices.
 
-    python verify/mutants.py --map                      # once: which test runs which line (needs pytest-cov)
     python verify/mutants.py control --count 100        # a random sample of a package's mutants
+    python verify/mutants.py fosopt/control/pid.py      # or of one file's
 
-A mutant is a copy of fosopt with one operator, sign, comparison or number changed. The tests that run the changed
-line are run on it, quick ones first, until one fails. What survives is printed: either the change makes no difference,
-or a test is missing.
+A mutant is a copy of fosopt with one operator, sign, comparison or number changed. The files of tests that name
+something of the changed file are run on it, those that do so most often first, until a test fails. What survives is
+printed: either the change makes no difference, or a test is missing, or it stands elsewhere.
 """
 
 from __future__ import annotations
 
 import argparse
 import ast
-import json
 import os
 import random
+import re
 import shutil
-import sqlite3
 import subprocess
 import sys
 import tempfile
-import xml.etree.ElementTree as ElementTree
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
@@ -28,10 +26,10 @@ from pathlib import Path
 from queue import Queue
 
 ROOT = Path(__file__).resolve().parents[1]
-MAP = ROOT / ".mutants.json"
 PACKAGES = ("control", "metrics", "modes", "plant")
 PATIENCE = 300.0  # seconds for the tests of one mutant; a loop that does not end is noticed as well
-MOST_TESTS = 60
+MOST_FILES = 6
+SLOW = ("_browser", "_resume", "_cluster", "_frame", "_page")  # and of little use here
 
 _SWAPPED: dict[type[ast.AST], str] = {
     ast.Add: "-",
@@ -109,49 +107,17 @@ def _computing(tree: ast.AST) -> Iterator[ast.AST]:
             yield from _computing(node)
 
 
-def write_map() -> None:
-    """Run all tests once and keep which of them run which line, and how long each takes."""
-    with tempfile.TemporaryDirectory() as folder:
-        data, report = Path(folder) / "coverage", Path(folder) / "report.xml"
-        command = [
-            sys.executable,
-            "-m",
-            "pytest",
-            "-q",
-            "--cov=fosopt",
-            "--cov-context=test",
-            "--cov-report=",
-        ]
-        environment = os.environ | {"COVERAGE_FILE": str(data), "CI": "1"}
-        subprocess.run([*command, f"--junitxml={report}"], cwd=ROOT, env=environment, check=True)
-        seconds: dict[str, float] = {}
-        for case in ElementTree.parse(report).iter("testcase"):
-            stem = case.get("classname", "").replace(".", "/")
-            seconds[f"{stem}.py::{case.get('name')}"] = float(case.get("time", "0"))
-        lines: dict[str, dict[str, list[str]]] = {}
-        with sqlite3.connect(data) as database:
-            from coverage.numbits import numbits_to_nums
-
-            rows = database.execute(
-                "SELECT file.path, context.context, numbits FROM line_bits "
-                "JOIN file ON file.id = file_id JOIN context ON context.id = context_id"
-            )
-            for path, context, bits in rows:
-                test = context.partition("|")[0]
-                if not test:
-                    continue
-                of_file = lines.setdefault(str(Path(path).relative_to(ROOT)), {})
-                for line in numbits_to_nums(bits):
-                    of_file.setdefault(str(line), []).append(test)
-    MAP.write_text(json.dumps({"seconds": seconds, "lines": lines}))
-
-
-def tests_of(mutant: Mutant, known: dict[str, dict[str, dict[str, list[str]]]]) -> list[str]:
-    """Tests that run the changed line, quick ones first; of a compiled line, those that run anything of its file."""
-    of_file = known["lines"].get(mutant.file, {})
-    found = set(of_file.get(str(mutant.line), ())) or {test for each in of_file.values() for test in each}
-    seconds = known["seconds"]
-    return sorted(found, key=lambda test: seconds.get(test, 0.0))[:MOST_TESTS]
+def tests_of(file: str) -> list[str]:
+    """Files of tests that name something public of a file, or something of a package that hands it on."""
+    tree = ast.parse((ROOT / file).read_bytes())
+    kinds = ast.FunctionDef | ast.ClassDef
+    names = {node.name for node in tree.body if isinstance(node, kinds) and not node.name.startswith("_")}
+    stem = Path(file).stem
+    pattern = re.compile(rf"\b({'|'.join(sorted(names) or ['$'])})\b|\.{stem}\b|\bimport .*\b{stem}\b")
+    quick = [path for path in (ROOT / "tests").glob("test_*.py") if not path.stem.endswith(SLOW)]
+    found = {path: len(pattern.findall(path.read_text())) for path in quick}
+    best = sorted((path for path in found if found[path]), key=lambda path: -found[path])
+    return [str(path.relative_to(ROOT)) for path in best[:MOST_FILES]]
 
 
 def survives(mutant: Mutant, tests: list[str], place: Path) -> bool:
@@ -179,14 +145,7 @@ def main() -> int:
     parser.add_argument("--count", type=int, default=100, help="mutants drawn of each package")
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--workers", type=int, default=2)
-    parser.add_argument("--map", action="store_true", help="renew the map of tests and lines first")
     given = parser.parse_args()
-    if given.map:
-        write_map()
-    if not MAP.exists():
-        print("no map of tests and lines yet; add --map (it needs: pip install pytest-cov)", file=sys.stderr)
-        return 2
-    known = json.loads(MAP.read_text())
     places: Queue[Path] = Queue()
     alive = 0
     with tempfile.TemporaryDirectory() as folder:
@@ -199,7 +158,7 @@ def main() -> int:
             places.put(place)
 
         def verdict(mutant: Mutant) -> tuple[Mutant, int, bool]:
-            tests = tests_of(mutant, known)
+            tests = tests_of(mutant.file)
             place = places.get()
             try:
                 return mutant, len(tests), bool(not tests or survives(mutant, tests, place))
@@ -219,7 +178,7 @@ def main() -> int:
                 for mutant, count, lives in pool.map(verdict, drawn):
                     if lives:
                         left += 1
-                        print(f"survives {count} tests: {mutant}", flush=True)
+                        print(f"survives {count} files of tests: {mutant}", flush=True)
             print(
                 f"{package}: {len(drawn) - left} of {len(drawn)} mutants noticed ({len(every)} in all)",
                 flush=True,
