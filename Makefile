@@ -20,8 +20,9 @@ help:
 	@echo "make verify  compare with Octave and CalculiX, and renew docs/verification.md"
 	@echo "make clean   remove the environment and all caches; runs/ stays"
 
+# One process to a processor; tests of one file share fixtures and stay together.
 test: lint
-	$(BIN)/pytest
+	$(BIN)/pytest -n logical --dist loadfile
 
 lint: $(READY)
 	$(BIN)/ruff check .
