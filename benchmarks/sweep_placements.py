@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from math import inf, pi
 
 import common
 import numpy as np
@@ -12,7 +13,8 @@ from numpy.typing import NDArray
 from scipy import signal
 
 from fosopt.actuators import MirrorReactionMass, Placement, ReactionMassActuator
-from fosopt.control import Loop, closed_loop_state_space
+from fosopt.control import Loop, closed_loop_response, closed_loop_state_space
+from fosopt.metrics.jitter import resonance_quadrature
 from fosopt.problem import Design, Evaluation, System
 from fosopt.structure import assemble, barker_truss, structure_inertia
 
@@ -42,7 +44,8 @@ port; the mirror has a reaction mass whose inertia, stiffness and torque are 90,
 reaction-mass actuators sit on the truss as well. Times are processor seconds for {count} inertia ratios, medians of
 {repeats}; *one by one* is fosopt's route for a single design, warm from the point before, at {alone} points. Of the
 state spaces, with {states} states, only their Schur forms (LAPACK dgees) and triangular Lyapunov solves are counted.
-fosopt takes {chunk} loops at a time."""
+fosopt takes {chunk} loops at a time. Where the two differ most, an integral over frequency, in which nothing cancels,
+says which of them is off."""
 
 
 @dataclass(frozen=True)
@@ -128,6 +131,21 @@ def by_schur(spaces: Sequence[StateSpace]) -> Array:
     return np.array([sweep.schur_jitter(*space) for space in spaces])
 
 
+def by_quadrature(of: Case, design: Design) -> float:
+    """Total jitter by integrals over frequency, in which nothing cancels."""
+    point = of.first.neighbor(design)
+    total = 0.0
+    for disturbance in point.system.disturbances:
+        assert disturbance.filter is not None
+        every = np.concatenate([point.poles.all, disturbance.filter.poles])
+        nodes, weights = resonance_quadrature(every, 0.0, inf, np.geomspace(1e-2, 1e6, 400))
+        at = point.model.points(1j * nodes)
+        response = closed_loop_response(disturbance.at, design.loop, at.s, at.g)
+        density = disturbance.one_sided_psd(nodes) * np.abs(response) ** 2
+        total += float(np.sum(weights * density)) / (2 * pi)
+    return float(np.sqrt(total))
+
+
 def measure(name: str, form: Callable[[Loop], Loop]) -> tuple[tuple[str, ...], tuple[str, ...], int]:
     """Rows of times and of agreement, and the number of states."""
     of = case(form, sweep.CLOSED)
@@ -140,12 +158,15 @@ def measure(name: str, form: Callable[[Loop], Loop]) -> tuple[tuple[str, ...], t
     if not np.array_equal(np.isnan(jitter), np.isnan(expected)):
         raise SystemExit(f"not comparable: stability differs ({name})")
     stable = ~np.isnan(expected)
-    different = np.abs(jitter[stable] / expected[stable] - 1).max()
+    different = np.where(stable, np.abs(jitter / expected - 1), 0.0)
+    worst = int(np.argmax(different))
+    judge = by_quadrature(of, of.designs[worst])
+    ours_off, schur_off = (abs(float(value) / judge - 1) for value in (jitter[worst], expected[worst]))
     times = (f"{ours:.2f}", f"{alone:.1f}", f"{alone / ours:.1f}", f"{schur:.2f}", f"{schur / ours:.1f}")
     unstable = str(int((~stable).sum()))
     return (
         (name, *times, "≥ 15"),
-        (name, unstable, unstable, f"{different:.1e}", "≤ 1e-9"),
+        (name, unstable, unstable, f"{different[worst]:.1e}", f"{ours_off:.0e}", f"{schur_off:.0e}"),
         spaces[0][0].shape[0],
     )
 
@@ -161,7 +182,14 @@ def main() -> None:
                 [times for times, _, _ in rows],
             ),
             common.table(
-                ["", "unstable", "by Schur", "largest relative difference of the jitter", "target"],
+                [
+                    "",
+                    "unstable",
+                    "by Schur",
+                    "largest relative difference of the jitter (≤ 1e-9 wanted)",
+                    "there, fosopt off a quadrature",
+                    "Schur off it",
+                ],
                 [agreement for _, agreement, _ in rows],
             ),
             NOTES.format(
