@@ -113,6 +113,7 @@ class Errand:
 
     name: str
     position: int
+    followers: int = 0
 
 
 class Errands:

@@ -14,6 +14,7 @@ class Errand:
 
     name: str
     position: int
+    followers: int = 0
 
 
 class Job:

@@ -142,6 +142,8 @@ class Request:
         Position of the point whose design it starts from.
     free
         (n,) variables that may change, None for all.
+    followers
+        How many points wait for it, one after the other: the longest chain is to be begun first.
     """
 
     name: str
@@ -155,6 +157,7 @@ class Request:
     parent: int | None = None
     case: str | None = None
     free: NDArray[np.bool_] | None = None
+    followers: int = 0
 
 
 def goal_of(problem: Problem, request: Request) -> Goal:
@@ -334,6 +337,7 @@ class FrontPlan:
                 3 + k,
                 position,
                 parent,
+                followers=max(min(CHAIN - 1 - k % CHAIN, self._count - 2 - k), 0),
             )
         )
 

@@ -209,6 +209,8 @@ class Cluster:
             self._delivery.name,
             request,
             key=f"{self._delivery.name}-{request.name}",
+            # Otherwise the chains, which keep no more than a worker each busy, would be all that is left at the end.
+            priority=request.followers,
             pure=False,
         )
         self._futures[request.name] = request, future

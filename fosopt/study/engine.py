@@ -24,6 +24,11 @@ class Asked(Protocol):
         """Among the points of a run."""
         ...
 
+    @property
+    def followers(self) -> int:
+        """How many wait for it, one after the other."""
+        ...
+
 
 class Job(Protocol):
     """What is done with a request.

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from math import nan
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -109,6 +109,7 @@ class Span:
     """Blocks of points that are computed and stored together, each as first and one past the last point."""
 
     blocks: tuple[tuple[int, int], ...]
+    followers: ClassVar[int] = 0
 
     @property
     def position(self) -> int:
