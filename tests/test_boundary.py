@@ -14,7 +14,7 @@ from fosopt.actuators import Mirror
 from fosopt.control import PID, ClosedLoopPoles, Loop, closed_loop_poles, closed_loop_state_space
 from fosopt.control.open_loop import OpenLoopPoles
 from fosopt.errors import ModelError
-from fosopt.metrics.boundary import Boundary, boundary_mode, branches, stability_boundaries
+from fosopt.metrics.boundary import Boundary, _vertex, boundary_mode, branches, stability_boundaries
 from fosopt.metrics.functional import LoopModel
 from fosopt.modes import ModalSet
 
@@ -145,3 +145,8 @@ def test_branches_of_a_contour_follow_the_nearest_boundary_of_their_kind():
     other = Boundary(1.1, True, 90j)
     assert branches([[a, b], [c, d]]) == [[0, 1], [0, 1]]
     assert branches([[a], [other, c], [c]]) == [[0], [1, 0], [0]]
+
+
+def test_the_lowest_place_of_a_parabola_is_found_with_its_value():
+    places = [(x, 3 + 2 * (x - 1.3) ** 2) for x in (0.2, 1.1, 2.9)]
+    assert _vertex(*places) == pytest.approx((1.3, 3.0), rel=1e-13)

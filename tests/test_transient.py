@@ -52,6 +52,14 @@ def test_an_exponential_settles_at_its_logarithm():
     assert decay.settling_time(1e-3) == pytest.approx(log(2e3) / 50, rel=1e-12)
 
 
+@pytest.mark.parametrize("steady", [8e-4, -8e-4])
+def test_a_steady_error_takes_its_share_of_the_tolerance(steady):
+    decay = transient((2.0, -50.0), steady=steady)
+    # On the side of the steady error what is left is smaller; on the other side the error comes from beyond zero.
+    left = 1e-3 - steady
+    assert decay.settling_time(1e-3) == pytest.approx(log(2 / left) / 50, rel=1e-12)
+
+
 def test_after_settling_no_sample_is_outside_and_just_before_one_is():
     settled = RINGING.settling_time(0.05)
     assert abs(RINGING(np.array([settled * (1 - 1e-9)]))[0]) > 0.05
