@@ -11,9 +11,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from fosopt.export.columns import about, column_of, column_units, encoded, free, plain, provenance_of
+from fosopt.export.columns import column_of, column_units, free, plain, provenance_of
+from fosopt.export.parquet import arrow, arrow_schema
 from fosopt.export.text import inert
-from fosopt.export.writing import ExportError, written_to
+from fosopt.export.writing import written_to
 from fosopt.ops import Array
 
 _ROWS = 8192  # of a row group in Parquet
@@ -128,19 +129,11 @@ def write_sweep_parquet(data: SweepData, path: Path) -> None:
     ExportError
         If the file cannot be written, or pyarrow is not installed.
     """
-    try:
-        import pyarrow as pa
-        from pyarrow import parquet
-    except ImportError:
-        raise ExportError("Parquet needs pyarrow; install it: pip install 'fosopt[parquet]'") from None
+    pa, parquet = arrow()
     columns, arrays = sweep_columns(data)
     kinds = [pa.float64() if column.labels is None else pa.string() for column in columns]
     kinds += [pa.list_(pa.float64(), each["shape"][1]) for each in data.by_mode]
-    fields = [
-        pa.field(column.name, kind, metadata={"unit": column.unit} if column.unit else None)
-        for column, kind in zip([*columns, *arrays], kinds, strict=True)
-    ]
-    schema = pa.schema(fields, {key: encoded(value) for key, value in about(data.run).items()})
+    schema = arrow_schema([*columns, *arrays], kinds, data.run)
 
     def group(pieces: Sequence[Piece]) -> Any:
         from numpy import concatenate, isnan

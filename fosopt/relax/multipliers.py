@@ -83,18 +83,6 @@ def best_scale(sizing: Sizing, constant: float, gradient: Array) -> float:
     return scale if slope <= 0 else inf
 
 
-def scaled_bound(sizing: Sizing, constant: float, gradient: Array) -> tuple[float, float]:
-    """`best_scale` of a cut κ + gᵀ x ≥ 0, and the bound it gives; infinite where the box holds no such x."""
-    scale = best_scale(sizing, constant, gradient)
-    if np.isinf(scale):
-        return scale, inf
-    slope = sizing.cost - scale * gradient
-    upper = np.where(np.isfinite(sizing.upper), sizing.upper, sizing.lower)
-    return scale, float(
-        sizing.cost_constant - scale * constant + np.minimum(slope * sizing.lower, slope * upper).sum()
-    )
-
-
 def best_leaf(
     sizing: Sizing,
     bases: Sequence[Array],

@@ -167,7 +167,6 @@ class Cluster:
                         host="127.0.0.1",
                         dashboard_address=None,
                         memory_limit=0,
-                        env=_ONE_THREAD,
                         silence_logs=logging.CRITICAL,
                     )
                 address = self._cluster.scheduler_address

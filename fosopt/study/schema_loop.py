@@ -21,6 +21,7 @@ from fosopt.study.schema_base import (
     Time,
     exactly_one,
     parsed,
+    quantity_of,
 )
 from fosopt.units import quote, show
 
@@ -290,7 +291,8 @@ def gains_of_form(data: Any) -> Any:
     keys: dict[str, float] = {}
     for key, field in known.items():
         if inner.get(key) is not None:
-            quantity = next(m for m in _metadata(field) if isinstance(m, Quantity))
+            quantity = quantity_of(field)
+            assert quantity is not None
             keys[key] = parsed(inner[key], quantity, name, key)
     try:
         if name == "parallel":
@@ -310,11 +312,3 @@ def gains_of_form(data: Any) -> Any:
         if data.get(key) is not None and data[key] != found.get(key):
             raise RuleError(f"'{name}' and '{key}' exclude each other; remove one", key, of_key=True)
     return data | found
-
-
-def _metadata(field: Any) -> list[Any]:
-    """Annotations of a field, of an optional one too."""
-    found = list(field.metadata)
-    for part in getattr(field.annotation, "__args__", ()):
-        found += list(getattr(part, "__metadata__", ()))
-    return found

@@ -15,12 +15,11 @@ from fosopt.solve.ipopt import never
 from fosopt.study.schema import Study
 from fosopt.study.schema_sweep import STRUCTURAL, Sweep
 from fosopt.study.store import Block, Store
-from fosopt.study.sweep_outputs import Outputs, Tally
+from fosopt.study.sweep_outputs import OF_STRUCTURE, Outputs, Tally
 from fosopt.study.sweep_points import Bench, Points, Row, bench
 
 _LOOPS, _MODES = 64, 1024  # points at hand: of closed loops, and of coupled modes alone
 _LIMIT = 3600.0  # seconds that a span may take before it counts as hanging
-_INDEXED = ("structure_frequency", "modal_inertia")
 
 
 @dataclass(frozen=True)
@@ -93,13 +92,13 @@ def _check_modes(study: Study, sweep: Sweep, first: Bench, modes: int) -> None:
         for name, index in output.references:
             if index is None:
                 continue
-            if name not in _INDEXED and not first.base.loop.plain:
+            if name not in OF_STRUCTURE and not first.base.loop.plain:
                 raise study.error(
                     f"{name}[{index}] is a metric of a bicollocated mirror without reaction masses only; write "
                     f"'{name}', which gives it for every mode",
                     *("sweep", "outputs", k),
                 )
-            most = modes + (name not in _INDEXED)
+            most = modes + (name not in OF_STRUCTURE)
             if index > most:
                 raise study.error(f"{name}[{index}]: the model has modes 1 to {most}", "sweep", "outputs", k)
 
