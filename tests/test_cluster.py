@@ -8,7 +8,7 @@ import socket
 import subprocess
 import sys
 import time
-from contextlib import suppress
+from contextlib import ExitStack, suppress
 from pathlib import Path
 from typing import Any
 
@@ -160,6 +160,17 @@ def test_what_hangs_is_stopped_at_its_time_limit_and_what_kills_its_worker_is_gi
         "stuck": "stopped after 0.2 s, all the time that a point has; raise solve.time_limit",
         "deadly": "every worker process that tried it died; look at its memory",
     }
+
+
+def test_two_runs_at_a_time_do_not_disturb_each_other():
+    # The scheduler's page has one port by default; what cannot have it warns, and warnings are errors here.
+    with ExitStack() as pools:
+        for each in [hanging.Job(), hanging.Job()]:
+            pool = pools.enter_context(cluster.Cluster(each, None, perform=hanging.perform, workers=1))
+            pool.submit(hanging.Errand("a", 0))
+            while (found := pool.next(lambda: False)) is None:
+                pass
+            assert found[1] == "a"
 
 
 def test_workers_need_a_process_with_one_thread(tmp_path, monkeypatch):

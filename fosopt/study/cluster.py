@@ -166,6 +166,8 @@ class Cluster:
                         processes=True,
                         host="127.0.0.1",
                         dashboard_address=None,
+                        # Dask serves its state even so, on one port for all runs of a machine, and warns of the second.
+                        scheduler_kwargs={"dashboard_address": "127.0.0.1:0"},
                         memory_limit=0,
                         silence_logs=logging.CRITICAL,
                     )
