@@ -20,6 +20,7 @@ from small_studies import STUDIES
 
 from fosopt.errors import StoppedError, StudyError
 from fosopt.study import cluster, load_study
+from fosopt.study.processes import SURROUNDINGS, prepare
 from fosopt.study.runner import Workers, resume_run, run_study
 from fosopt.study.store import RECORD, Store
 
@@ -45,7 +46,13 @@ def serial(tmp_path_factory):
 
 def worker_processes() -> list[psutil.Process]:
     """Processes that this one has begun to compute in."""
-    return [each for each in psutil.Process().children() if "spawn_main" in " ".join(each.cmdline())]
+    return [each for template in template_processes() for each in template.children()]
+
+
+def template_processes() -> list[psutil.Process]:
+    """The process that those are copies of, where there is one."""
+    living = [each for each in psutil.Process().children() if each.status() != psutil.STATUS_ZOMBIE]
+    return [each for each in living if "forkserver" in " ".join(each.cmdline())]
 
 
 def test_two_workers_of_which_one_is_killed_give_the_serial_answer(serial, tmp_path):
@@ -136,6 +143,23 @@ def test_no_scheduler_is_said(tmp_path, monkeypatch):
     monkeypatch.setattr(cluster, "_CONNECT", "0.2 s")
     with pytest.raises(StoppedError, match=r"no workers on tcp://127.0.0.1:9: .*; check the address"):
         run_study(study(), tmp_path / "run", workers=Workers(scheduler="tcp://127.0.0.1:9"))
+
+
+def test_workers_that_cannot_start_are_said(tmp_path, monkeypatch):
+    def fail(**_):
+        raise RuntimeError("Nanny failed to start.")
+
+    monkeypatch.setattr(cluster, "LocalCluster", fail)
+    with pytest.raises(
+        StoppedError, match=r"no workers on this machine: Nanny failed to start; .*'if __name__"
+    ):
+        run_study(study(), tmp_path / "run", workers=Workers(2))
+
+
+def test_workers_are_copies_of_a_process_with_one_thread_that_has_everything():
+    prepare()
+    (template,) = template_processes()
+    assert {name: template.environ()[name] for name in SURROUNDINGS} == SURROUNDINGS
 
 
 def test_what_hangs_is_stopped_at_its_time_limit_and_what_kills_its_worker_is_given_up(monkeypatch):

@@ -20,6 +20,7 @@ from distributed.scheduler import KilledWorker
 from fosopt.errors import StoppedError
 from fosopt.study.build import build_problem
 from fosopt.study.engine import Asked, Job
+from fosopt.study.processes import METHOD, SURROUNDINGS
 from fosopt.study.work import Parcel, job_of, late_reason
 
 _TICK = 0.2  # seconds between two looks at what else has happened
@@ -28,22 +29,10 @@ _LONELY = 60.0  # seconds to wait for a worker where there is none
 _CONNECT = "30 s"
 _FAREWELL = 5.0  # seconds to wait for an orderly end of the workers
 _ALONE = threading.Lock()  # solvers are not made for threads: a worker with several works with one of them
-_ONE_THREAD = {
-    "OMP_NUM_THREADS": "1",
-    "OPENBLAS_NUM_THREADS": "1",
-    "MKL_NUM_THREADS": "1",
-    "NUMBA_NUM_THREADS": "1",
-}
-
-# Dask makes workers give memory back at once, for which glibc asks the system anew for every array of some size: points
-# took a third longer. Nobody looks at the profile it samples.
 _AT_WORK = {
-    "distributed.worker.profile.enabled": False,
-    "distributed.nanny.pre-spawn-environ": {
-        **_ONE_THREAD,
-        "MALLOC_TRIM_THRESHOLD_": 2**28,
-        "MALLOC_MMAP_THRESHOLD_": 2**25,
-    },
+    "distributed.worker.profile.enabled": False,  # nobody looks at it
+    "distributed.worker.multiprocessing-method": METHOD,
+    "distributed.nanny.pre-spawn-environ": SURROUNDINGS,
 }
 
 
@@ -213,8 +202,15 @@ class Cluster:
 
     def _connected(self) -> Client:
         if self._client is None:
-            where = self._scheduler or "this machine"
-            raise StoppedError(f"no workers on {where}: {self._failure}; check the address and the network")
+            if self._scheduler is None:
+                why = str(self._failure).rstrip(".")
+                raise StoppedError(
+                    f"no workers on this machine: {why}; look at its memory, and if a script of your own began them, "
+                    "begin them under 'if __name__ == \"__main__\":'"
+                )
+            raise StoppedError(
+                f"no workers on {self._scheduler}: {self._failure}; check the address and the network"
+            )
         return self._client
 
     def _send(self, client: Client, request: Asked) -> None:

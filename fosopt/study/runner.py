@@ -19,6 +19,7 @@ from fosopt.study.load import dump_study, load_study
 from fosopt.study.lock import only_writer
 from fosopt.study.plan import identity, plan_of, request_identity
 from fosopt.study.points import comparison, evaluated_point, mark_dominated, state_prices
+from fosopt.study.processes import prepare
 from fosopt.study.provenance import environment, threads
 from fosopt.study.resume import Origin, inputs_of, record_of, recorded_study, refuse_changed
 from fosopt.study.schema import Study
@@ -226,10 +227,11 @@ def _go_on(
     stopped: StoppedError | None = None
     tell("start design")
     try:
-        if not store.tally():
-            keep(_start_point(study, problem, start), 0, identity(study_id, {"name": "start"}))
         try:
+            # Workers start while this process judges the start design.
             with pool_of(PointJob(study, problem), study, workers, out) as pool:
+                if not store.tally():
+                    keep(_start_point(study, problem, start), 0, identity(study_id, {"name": "start"}))
                 for request, response in drive(plan, pool, known, name, stop):
                     if response.point is None:
                         store.write_answer(name(request), response.answer)
@@ -271,6 +273,8 @@ def pool_of(job: Job, study: Study, workers: Workers, out: Path) -> AbstractCont
     """Whoever answers the requests of a study, whose files lie in a directory."""
     if study.kind == "analysis" or workers.alone:
         return nullcontext(Serial(job))
+    if workers.scheduler is None:
+        prepare()
     # dask takes a while to import, and only workers need it.
     from fosopt.study.cluster import Cluster
 

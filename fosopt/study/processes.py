@@ -1,0 +1,40 @@
+"""The process that workers of this machine are copies of: it imports everything once, while the run begins."""
+
+from __future__ import annotations
+
+import multiprocessing
+import os
+
+_ONE_THREAD = {
+    "OMP_NUM_THREADS": "1",
+    "OPENBLAS_NUM_THREADS": "1",
+    "MKL_NUM_THREADS": "1",
+    "NUMBA_NUM_THREADS": "1",
+}
+
+# Dask makes workers give memory back at once, for which glibc asks the system anew for every array of some size: points
+# took a third longer.
+SURROUNDINGS = {**_ONE_THREAD, "MALLOC_TRIM_THRESHOLD_": str(2**28), "MALLOC_MMAP_THRESHOLD_": str(2**25)}
+"""Environment of workers."""
+
+METHOD = "forkserver" if "forkserver" in multiprocessing.get_all_start_methods() else "spawn"
+"""How workers come to be."""
+
+
+def prepare() -> None:
+    """Start it where the system can copy processes; returns before it is ready."""
+    if METHOD != "forkserver":
+        return
+    from multiprocessing import forkserver
+
+    kept = {name: os.environ.get(name) for name in SURROUNDINGS}
+    multiprocessing.get_context(METHOD).set_forkserver_preload(["fosopt.study.cluster"])
+    os.environ.update(SURROUNDINGS)
+    try:
+        forkserver.ensure_running()
+    finally:
+        for name, value in kept.items():
+            if value is None:
+                del os.environ[name]
+            else:
+                os.environ[name] = value
