@@ -33,6 +33,10 @@ _PROVABLE = 1000
 _AGAIN = 1e-9
 
 
+_Found = tuple[Bound, str, bool]
+"""A bound, a remark, and whether time cut the search for it short."""
+
+
 @dataclass(frozen=True)
 class PidSearch:
     """How long to look for the best PID controller of each design.
@@ -66,6 +70,8 @@ class Entry:
         As in `relax.bound.Bound`.
     remark
         Why there is no bound, or what was found on the way.
+    hurried
+        Whether a time limit cut the search short, so that another machine finds another bound.
     """
 
     name: str
@@ -75,6 +81,7 @@ class Entry:
     assumptions: tuple[str, ...] = ()
     allowance: float = 0.0
     remark: str = ""
+    hurried: bool = False
 
     @property
     def gap(self) -> float | None:
@@ -178,14 +185,14 @@ def _has_structure(problem: Problem) -> bool:
     return any(v.quantity in _STRUCTURE for v in problem.variables)
 
 
-def _line(name: str, reached: float, find: Callable[[], tuple[Bound, str]]) -> Entry:
+def _line(name: str, reached: float, find: Callable[[], _Found]) -> Entry:
     """A line of the account; what cannot be bounded says why."""
     try:
-        bound, remark = find()
+        bound, remark, hurried = find()
     except FosoptError as error:
         return Entry(name, None, reached, remark=str(error))
     bound.hold(reached, "the design")
-    return Entry(name, bound.value, reached, bound.of, bound.assumptions, bound.allowance, remark)
+    return Entry(name, bound.value, reached, bound.of, bound.assumptions, bound.allowance, remark, hurried)
 
 
 def _floor(
@@ -194,7 +201,7 @@ def _floor(
     x: Array,
     truth: Evaluation,
     receptance: tuple[str, float] | None,
-) -> tuple[Bound, str]:
+) -> _Found:
     if not _has_structure(problem):
         raise SolverError(
             "nothing of the structure is a design variable; make areas, battens or springs free"
@@ -210,11 +217,11 @@ def _floor(
         )
     left_out = f"left out, which lowers the bound: {', '.join(floor.left_out)}" if floor.left_out else ""
     lighter = f"a structure of {floor.upper:.6g} kg meets the same" if floor.upper < mass * (1 - 1e-6) else ""
-    return floor.bound, "; ".join(filter(None, (lighter, left_out)))
+    return floor.bound, "; ".join(filter(None, (lighter, left_out))), False
 
 
-def _any(truth: Evaluation, jitter: float) -> tuple[Bound, str]:
-    return performance_limit(truth.model, truth.system.disturbances).bound, ""
+def _any(truth: Evaluation, jitter: float) -> _Found:
+    return performance_limit(truth.model, truth.system.disturbances).bound, "", False
 
 
 def _pid(
@@ -224,7 +231,7 @@ def _pid(
     truth: Evaluation,
     search: PidSearch,
     jitter: float,
-) -> tuple[Bound, str]:
+) -> _Found:
     margin = next((c.lower for c in constraints if c.name == "modulus_margin" and isfinite(c.lower)), 0.0)
     found = best_pid(
         truth.model,
@@ -237,7 +244,7 @@ def _pid(
     )
     remark = f"a PID in the box reaches {found.jitter:.6g} rad" if found.jitter < jitter * (1 - 1e-6) else ""
     stopped = "" if found.finished else f"stopped after {found.seconds:.3g} s"
-    return found.bound, "; ".join(filter(None, (remark, stopped)))
+    return found.bound, "; ".join(filter(None, (remark, stopped))), found.hurried
 
 
 def pid_box(problem: Problem, x: Array) -> PidBox:

@@ -20,7 +20,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from small_studies import STUDIES, analysis, section
+from small_studies import STUDIES, analysis, edited, section
 from typer.testing import CliRunner
 
 from fosopt.cli.commands import app
@@ -503,6 +503,30 @@ def test_the_command_repeats_a_point_and_says_what_is_not_the_same(whole, tmp_pa
     assert "  metrics.jitter_total: " in result.stdout
     result = invoke("rerun", out, "--point", "01")
     assert (result.exit_code, "did you mean '001'?" in result.stderr) == (3, True)
+
+
+def test_a_bound_whose_time_was_up_is_said_to_depend_on_the_machine(tmp_path):
+    cut = [(section(TEMPLATE, name), "") for name in ("objectives", "front", "constraints")]
+    text = edited(("kind: codesign", "kind: analysis"), *cut, bays=2)
+    out = tmp_path / "run"
+    run_study(parse_study(text + "\ncertificates:\n  pid: {time_limit: 0.01 s, gap: 0.01 %}\n"), out)
+    with Store.resume(out / RECORD) as store:
+        (point,) = store.run()["points"]
+        named = {entry["name"]: entry for entry in point["bounds"]}
+        assert named["jitter_bound_pid"]["hurried"] and not named["jitter_bound_any"]["hurried"]
+        named["jitter_bound_pid"]["value"] *= 0.999
+        store.mark("000", point)
+    found = rerun_point(out / RECORD, "000", lambda: False)
+    assert found["differs"] == {}
+    assert any(path.endswith(".value") for path in found["hurried"])
+    result = invoke("rerun", out, "--point", "000")
+    assert result.exit_code == 0
+    assert "its time limit was reached, which depends on the machine" in result.stdout
+    with Store.resume(out / RECORD) as store:
+        named["jitter_bound_any"]["value"] *= 0.999
+        store.mark("000", point)
+    found = rerun_point(out / RECORD, "000", lambda: False)
+    assert {path.partition(".")[2].partition(".")[2] for path in found["differs"]} == {"value"}
 
 
 def test_a_run_does_not_differ_from_itself_and_gains_what_a_finer_front_has(whole, cut):

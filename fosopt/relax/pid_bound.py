@@ -69,6 +69,8 @@ class PidBound:
         How many were bounded.
     finished
         Whether the gap was reached; otherwise time was up.
+    hurried
+        Whether time cut anything short, so that another machine finds other numbers.
     seconds
         Processor time it took.
     """
@@ -79,6 +81,7 @@ class PidBound:
     limit: PerformanceLimit
     boxes: int
     finished: bool
+    hurried: bool
     seconds: float
 
     @property
@@ -140,7 +143,7 @@ def best_pid(
     finished = value >= (1 - gap) * jitter
     controller = None if search.gains is None else box.controller(search.gains)
     seconds = time.process_time() - begin
-    return PidBound(bound, controller, jitter, search.limit, search.count, finished, seconds)
+    return PidBound(bound, controller, jitter, search.limit, search.count, finished, search.hurried, seconds)
 
 
 def _drifts_without_integral(loop: OpenLoop, box: PidBox) -> bool:
@@ -179,6 +182,8 @@ class _Search:
         Of the best controller found.
     certified, found
         Least bound of all boxes that are settled, with and without the allowance for the nodes.
+    hurried
+        Whether a deadline has passed.
     """
 
     def __init__(
@@ -193,6 +198,7 @@ class _Search:
         self.leaves: list[tuple[Boxes, Array]] = []
         self.count = self.order = 0
         self.bounding = 0.0
+        self.hurried = False
         self._use(self.limit.open_loop.nodes(_TOLERANCE))
 
     def _use(self, nodes: Nodes) -> None:
@@ -200,6 +206,12 @@ class _Search:
         spectra = self.limit.open_loop.spectra(nodes)
         self.relaxation = relaxation(self.limit, spectra, self.box.rolloff_time)
         self.batch = max(_BATCH // nodes.frequency.size, 1)
+
+    def _late(self, deadline: float, ahead: float = 0.0) -> bool:
+        """Whether a deadline passes within so many seconds from now."""
+        late = time.process_time() + ahead > deadline
+        self.hurried |= late
+        return late
 
     def consider(self, gains: Array) -> float:
         """Mean square of a controller, infinite if it does not count; kept if it is the best so far."""
@@ -237,7 +249,7 @@ class _Search:
         # Unstable controllers may look better than all stable ones.
         best_first = np.argsort(self.relaxation.variance(samples), kind="stable")
         for gains in samples[best_first]:
-            if len(found) == _STARTS or (found and time.process_time() > deadline):
+            if len(found) == _STARTS or (found and self._late(deadline)):
                 break
             if self.consider(gains) < inf:
                 found.append(gains)
@@ -257,10 +269,10 @@ class _Search:
             return float(np.log(value)) if value < inf else _UNSTABLE
 
         def stop_in_time(_: Array) -> None:
-            if time.process_time() > deadline:
+            if self._late(deadline):
                 raise StopIteration
 
-        if free.any() and time.process_time() < deadline:
+        if free.any() and not self._late(deadline):
             options = {"maxfev": _LOCAL_EVALUATIONS, "fatol": 1e-6, "xatol": 1e-4}
             bounds = [(0.0, 1.0)] * int(free.sum())
             optimize.minimize(
@@ -302,7 +314,7 @@ class _Search:
             halves = joined([entry.box for entry in worst]).split(np.array([entry.along for entry in worst]))
             self._add(halves, np.tile([entry.bound for entry in worst], 2))
             pending = len(self.open) + sum(bounds.size for _, bounds in self.leaves)
-            if time.process_time() + _AGAIN * pending * self.bounding / self.count > deadline:
+            if self._late(deadline, _AGAIN * pending * self.bounding / self.count):
                 return False
         return True
 

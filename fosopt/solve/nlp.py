@@ -96,7 +96,6 @@ class NonlinearProgram:
         single = [c for c in task.constraints if branched(c) is None]
         self._branched = [(c, str(branched(c))) for c in task.constraints if branched(c) is not None]
         self._rows = Rows(problem, (task.objective, *(c.expression for c in single)))
-        self._single = single
         self._known: tuple[Array, Evaluation, Array, Array] | None = None
         self.failure: str | None = None
         value = self._raw(start)[0]

@@ -182,6 +182,7 @@ def _entry(entry: Entry) -> dict[str, Any]:
         "assumptions": list(entry.assumptions),
         "allowance": entry.allowance,
         "remark": entry.remark,
+        "hurried": entry.hurried,
     }
 
 

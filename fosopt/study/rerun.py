@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -29,7 +29,8 @@ def rerun_point(path: Path, key: str, stop: Callable[[], bool]) -> dict[str, Any
     -------
     dict
         `request`, what it was asked, in words; `point` as found now; `differs`, the recorded and the new value of
-        each number that is another one; `environment`, versions that are other ones; `interrupted`.
+        each number that is another one; `hurried`, the same of bounds whose time was up; `environment`, versions that
+        are other ones; `interrupted`.
 
     Raises
     ------
@@ -61,11 +62,13 @@ def rerun_point(path: Path, key: str, stop: Callable[[], bool]) -> dict[str, Any
         assert found.point is not None
         point, said_ = found.point, _asked(problem, request)
     state_prices(point, header["quantities"])
+    hurried, differs = _apart(_differences(_own(points[key]), _own(point)), points[key], point)
     before = {k: header["provenance"].get(k) for k in (*LIBRARIES, "python", "threads")}
     return {
         "request": said_,
         "point": point,
-        "differs": dict(_differences(_own(points[key]), _own(point))),
+        "differs": differs,
+        "hurried": hurried,
         "environment": {
             name: [before[name], value]
             for name, value in environment().items()
@@ -103,6 +106,22 @@ def _own(point: Mapping[str, Any]) -> dict[str, Any]:
     return {name: value for name, value in point.items() if name not in _NOT_OF_THE_POINT}
 
 
+def _apart(
+    found: Iterable[tuple[str, list[Any]]], before: Mapping[str, Any], now: Mapping[str, Any]
+) -> tuple[dict[str, list[Any]], dict[str, list[Any]]]:
+    """Differences of bounds for which time was up, which the machine decides, and all others."""
+    late = tuple(
+        f"bounds.{k}."
+        for k, pair in enumerate(zip(before.get("bounds", ()), now.get("bounds", ()), strict=False))
+        if any(entry.get("hurried") for entry in pair)
+    )
+    hurried: dict[str, list[Any]] = {}
+    others: dict[str, list[Any]] = {}
+    for path, pair in found:
+        (hurried if late and path.startswith(late) else others)[path] = pair
+    return hurried, others
+
+
 def _differences(before: Any, now: Any, path: str = "") -> Iterator[tuple[str, list[Any]]]:
     if isinstance(before, dict) and isinstance(now, dict):
         for key in dict.fromkeys([*before, *now]):
@@ -133,6 +152,8 @@ def said(found: Mapping[str, Any]) -> Iterator[str]:
     if "status" in point:
         verdict = "verified" if point["verified"] else f"not verified: {point['reason']}"
         yield f"{point['status']}, {verdict}, {point['iterations']} iterations, {point['seconds']:.2f} s"
+    for path, (before, now) in found["hurried"].items():
+        yield f"note: {path} was {before!r}, here {now!r}: its time limit was reached, which depends on the machine"
     if not found["differs"]:
         yield "all numbers are the recorded ones to the last bit"
         return

@@ -218,6 +218,7 @@ def rerun_sweep_point(store: Store, study: Study, key: str) -> dict[str, Any]:
     return {
         "request": ", ".join(f"{name} = {now[name]!r}" for name in plan.scalars[: len(plan.points.axes)]),
         "point": {"metrics": {name: value for name, value in now.items() if value == value}},
+        "hurried": {},
         "differs": {n: [before[n], now[n]] for n in now if not _same(before[n], now[n])},
         "environment": {},
         "interrupted": False,
