@@ -168,7 +168,6 @@ def test_what_hangs_is_stopped_at_its_time_limit_and_what_kills_its_worker_is_gi
     # By default a request is tried on four workers before it is blamed for their ends.
     once = dask.config.set({"distributed.scheduler.allowed-failures": 0})
     with once, cluster.Cluster(hanging.Job(), None, perform=hanging.perform, workers=2) as pool:
-        # One after the other: what waits at a worker when it ends would be blamed, too.
         for names in (("a", "b"), ("stuck", "deadly"), ("c",)):
             for position, name in enumerate(names):
                 pool.submit(hanging.Errand(name, position))
@@ -195,6 +194,24 @@ def test_two_runs_at_a_time_do_not_disturb_each_other():
             while (found := pool.next(lambda: False)) is None:
                 pass
             assert found[1] == "a"
+
+
+def test_what_waits_at_a_worker_that_dies_is_not_blamed_for_it():
+    answers = {}
+    once = dask.config.set({"distributed.scheduler.allowed-failures": 0})
+    with once, cluster.Cluster(hanging.Job(), None, perform=hanging.perform, workers=1) as pool:
+        for position, name in enumerate(("deadly", "a", "b")):
+            pool.submit(hanging.Errand(name, position))
+        end = time.monotonic() + _PATIENCE
+        while pool.busy and time.monotonic() < end:
+            found = pool.next(lambda: False)
+            if found is not None:
+                answers[found[0].name] = found[1]
+    assert answers == {
+        "a": "a",
+        "b": "b",
+        "deadly": "every worker process that tried it died; look at its memory",
+    }
 
 
 def test_workers_need_a_process_with_one_thread(tmp_path, monkeypatch):

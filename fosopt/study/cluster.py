@@ -106,6 +106,9 @@ class Cluster:
         self._held: list[Asked] = []
         self._futures: dict[str, tuple[Asked, Any]] = {}
         self._begun: dict[str, tuple[float, str]] = {}
+        # Dask blames what a worker had been given when it died, begun or not: that is tried again alone.
+        self._suspects: list[Asked] = []
+        self._alone: str | None = None
         self._events: queue.Queue[str] = queue.Queue()
         self._company = time.monotonic()
         self._client: Client | None = None
@@ -180,7 +183,7 @@ class Cluster:
     @property
     def busy(self) -> bool:
         """As `Pool`."""
-        return bool(self._local or self._held or self._futures)
+        return bool(self._local or self._held or self._futures or self._suspects)
 
     def next(self, stop: Callable[[], bool]) -> tuple[Any, Any] | None:
         """As `Pool`."""
@@ -194,6 +197,10 @@ class Cluster:
         for request in self._held:
             self._send(client, request)
         self._held.clear()
+        if self._suspects and not self._futures:
+            suspect = self._suspects.pop(0)
+            self._alone = suspect.name
+            self._send(client, suspect)
         try:
             return self._answer(self._events.get(timeout=_TICK))
         except queue.Empty:
@@ -218,7 +225,7 @@ class Cluster:
             self._perform,
             self._delivery.name,
             request,
-            key=f"{self._delivery.name}-{request.name}",
+            key=f"{self._delivery.name}-{request.name}{'-alone' if request.name == self._alone else ''}",
             # Otherwise the chains, which keep no more than a worker each busy, would be all that is left at the end.
             priority=request.followers,
             pure=False,
@@ -238,6 +245,9 @@ class Cluster:
         try:
             response = future.result()
         except KilledWorker:
+            if name != self._alone:
+                self._suspects.append(request)
+                return None
             reason = "every worker process that tried it died; look at its memory"
             return request, self._job.unanswered(request, reason)
         future.release()
