@@ -378,9 +378,10 @@ def started(study: str, *more: str) -> subprocess.Popen[str]:
     return process
 
 
-def test_an_interrupted_run_says_what_it_found_and_ends_with_code_130(study):
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_an_interrupted_run_says_what_it_found_and_ends_with_code_130(study, number):
     process = started(study)
-    process.send_signal(signal.SIGINT)
+    process.send_signal(number)
     stdout, stderr = process.communicate(timeout=60)
     assert process.returncode == 130
     assert json.loads(stdout)["interrupted"] is True

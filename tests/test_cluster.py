@@ -162,6 +162,22 @@ def test_workers_are_copies_of_a_process_with_one_thread_that_has_everything():
     assert {name: template.environ()[name] for name in SURROUNDINGS} == SURROUNDINGS
 
 
+def test_ctrl_c_is_not_for_workers_even_while_their_process_starts():
+    begin = (
+        "import os, signal, time, psutil; from fosopt.study.processes import prepare; prepare();"
+        "kids = [each for each in psutil.Process().children() if 'forkserver' in ' '.join(each.cmdline())];"
+        "[each.send_signal(signal.SIGINT) for each in kids]; time.sleep(0.3);"
+        "print(len(kids), [each.status() != psutil.STATUS_ZOMBIE for each in kids]);"
+        "os.kill(os.getpid(), signal.SIGINT)"
+    )
+    found = subprocess.run(
+        [sys.executable, "-c", begin], capture_output=True, text=True, timeout=60, check=False
+    )
+    assert found.stdout == "1 [True]\n"
+    # This process itself listens to it as before.
+    assert found.returncode == -signal.SIGINT
+
+
 def test_what_hangs_is_stopped_at_its_time_limit_and_what_kills_its_worker_is_given_up(monkeypatch):
     monkeypatch.setattr(cluster, "_GRACE", 0.5)
     answers = {}

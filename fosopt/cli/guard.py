@@ -111,8 +111,8 @@ def say(text: str, *, error: bool = False) -> None:
 def interruptible() -> Iterator[Callable[[], bool]]:
     """Turn the first Ctrl-C into a wish to stop, and leave the second one to the operating system.
 
-    A solver in the middle of native code would not notice an exception, and one raised inside its callback
-    would look like a failure to it.
+    SIGTERM, with which a batch system announces that time is up, is the same wish. A solver in the middle of native code
+    would not notice an exception, and one raised inside its callback would look like a failure to it.
 
     Yields
     ------
@@ -123,13 +123,14 @@ def interruptible() -> Iterator[Callable[[], bool]]:
 
     def ask(number: int, frame: FrameType | None) -> None:
         asked.set()
-        signal.signal(signal.SIGINT, signal.SIG_DFL)
+        signal.signal(number, signal.SIG_DFL)
         # Not through sys.stderr: the signal may have come in the middle of a write to it.
         with suppress(OSError):
             os.write(2, ((_SHOW_CURSOR if os.isatty(2) else "") + _STOPPING).encode())
 
-    before = signal.signal(signal.SIGINT, ask)
+    before = {number: signal.signal(number, ask) for number in (signal.SIGINT, signal.SIGTERM)}
     try:
         yield asked.is_set
     finally:
-        signal.signal(signal.SIGINT, before)
+        for number, handler in before.items():
+            signal.signal(number, handler)

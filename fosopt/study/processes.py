@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import multiprocessing
 import os
+import signal
 
 _ONE_THREAD = {
     "OMP_NUM_THREADS": "1",
@@ -25,14 +26,19 @@ def prepare() -> None:
     """Start it where the system can copy processes; returns before it is ready."""
     if METHOD != "forkserver":
         return
-    from multiprocessing import forkserver
+    from multiprocessing import forkserver, resource_tracker
 
+    # Ctrl-C, which a terminal sends to all processes, is for the one that began the run: it is blocked for the copies
+    # from their first moment on. The tracker is started before, because it would lift that.
+    resource_tracker.ensure_running()
+    blocked = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
     kept = {name: os.environ.get(name) for name in SURROUNDINGS}
     multiprocessing.get_context(METHOD).set_forkserver_preload(["fosopt.study.cluster"])
     os.environ.update(SURROUNDINGS)
     try:
         forkserver.ensure_running()
     finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, blocked)
         for name, value in kept.items():
             if value is None:
                 del os.environ[name]
