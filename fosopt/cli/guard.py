@@ -111,8 +111,8 @@ def say(text: str, *, error: bool = False) -> None:
 def interruptible() -> Iterator[Callable[[], bool]]:
     """Turn the first Ctrl-C into a wish to stop, and leave the second one to the operating system.
 
-    SIGTERM, with which a batch system announces that time is up, is the same wish. A solver in the middle of native code
-    would not notice an exception, and one raised inside its callback would look like a failure to it.
+    SIGTERM, with which a batch system announces that time is up, is the same wish. A solver in the middle of native
+    code would not notice an exception, and one raised inside its callback would look like a failure to it.
 
     Yields
     ------
