@@ -168,7 +168,7 @@ def stored(place: Path) -> list[tuple[str, str, str]]:
         names = [f"x{k}" for k in range(16)]
         with (
             Store.open(place / "stored" / RECORD) as store,
-            SweepFiles(place / "stored", names, names, [1.0] * 16, {}, {}) as sweep_files,
+            SweepFiles(place / "stored", names, names, [1.0] * 16, {}, {}, "") as sweep_files,
         ):
             for block in store.blocks():
                 sweep_files.append(store.block_arrays(block.first)[0], {})

@@ -161,6 +161,10 @@ class Suspended:
         """Spring and damper, κ(s) = c s + k [N/m] or [N m/rad]."""
         return self.damping * s + self.stiffness
 
+    def restoring(self, s: Any) -> Any:
+        """Load on it per own motion while its mount rests [N/m] or [N m/rad]."""
+        return self.coupling(s)
+
     def transmission(self, s: Any) -> Any:
         """Its motion per motion of its mount, κ/(J s² + κ) [-]."""
         kappa = self.coupling(s)

@@ -15,17 +15,17 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import linalg, optimize, signal
 
-from fosopt.control import StateSpace, closed_loop_state_space, pid_response
+from fosopt.control import OTHER, StateSpace, closed_loop_state_space, loop_matrices, pid_response
 from fosopt.errors import FosoptError
 from fosopt.expressions import Expression
-from fosopt.metrics.disturbances import Disturbance
+from fosopt.metrics.disturbances import Disturbance, ShapingFilter
 from fosopt.metrics.jitter import resonance_quadrature
 from fosopt.metrics.sampled_check import sampled_disagreement
 from fosopt.modes import ModalFrame, ModalSet
 from fosopt.ops import Array, ComplexArray
-from fosopt.plant import coupled_matrices
 from fosopt.problem import Constraint, Evaluation, Problem, Rows
 from fosopt.problem.correction import as_model_sees
+from fosopt.solve.kkt import active_multipliers
 from fosopt.solve.nlp import NonlinearProgram, Task
 from fosopt.structure import mass_weights, stiffness_weights
 
@@ -42,8 +42,6 @@ OPTIMALITY = 1e-3
 _LOOP_ONLY = ("jitter_", "step_", "peak_", "modulus_margin", "loop_crossover")
 # A bound or constraint within this of its limit (relative) counts as active.
 _ACTIVE = 1e-5
-# Rounds of the search for multipliers; few are needed.
-_ROUNDS = 100
 
 
 @dataclass(frozen=True)
@@ -67,6 +65,11 @@ class ConstraintReport:
     slack: float
     multiplier: float | None
     active: bool
+
+    @property
+    def violated(self) -> bool:
+        """Whether it is off by more than the share of its bound that `FEASIBILITY` allows."""
+        return self.slack < -FEASIBILITY * _size(self)
 
 
 @dataclass(frozen=True)
@@ -171,7 +174,7 @@ def certify(
             reasons.append(f"constraint '{constraint.name}' has no value: the loop is unstable")
             continue
         reports.append(report)
-        if report.slack < -FEASIBILITY * _size(constraint):
+        if report.violated:
             reasons.append(
                 f"constraint '{constraint.name}' is violated by {-report.slack:.3g} on the truth model"
             )
@@ -287,9 +290,21 @@ def independent_variance(truth: Evaluation, system: StateSpace, disturbance: Dis
 def _by_lyapunov(system: StateSpace, disturbance: Disturbance) -> float:
     shape = disturbance.filter
     assert shape is not None
-    column = system.inputs.index(disturbance.at)
-    row = system.outputs.index("line_of_sight")
-    b, c, d = system.b[:, [column]], system.c[[row]], system.d[row, column]
+    rows = [k for k, name in enumerate(system.outputs) if name.endswith("line_of_sight")]
+    # Disturbances about two axes are independent, each with a filter of its own.
+    return sum(
+        _filtered_variance(system, system.inputs.index(f"{axis}{disturbance.at}"), rows, shape)
+        for axis in _sources(disturbance)
+    )
+
+
+def _sources(disturbance: Disturbance) -> list[str]:
+    """What stands before the names of the inputs by which a disturbance enters."""
+    return {"first": [""], "second": [OTHER], "both": ["", OTHER]}[disturbance.axis]
+
+
+def _filtered_variance(system: StateSpace, column: int, rows: list[int], shape: ShapingFilter) -> float:
+    b, c, d = system.b[:, [column]], system.c[rows], system.d[rows, column][:, None]
     if len(shape.denominator) == 1:
         gain = shape.numerator[0] / shape.denominator[0]
         a, b = system.a, gain * b
@@ -300,7 +315,7 @@ def _by_lyapunov(system: StateSpace, disturbance: Disturbance) -> float:
         a = np.block([[system.a, b @ fc], [np.zeros((fa.shape[0], system.a.shape[0])), fa]])
         b, c = np.vstack([b @ fd, fb]), np.hstack([c, d * fc])
     covariance = linalg.solve_continuous_lyapunov(a, -b @ b.T)
-    return float((c @ covariance @ c.T)[0, 0])
+    return float(np.trace(c @ covariance @ c.T))
 
 
 def _by_dynamic_stiffness(truth: Evaluation, disturbance: Disturbance) -> float:
@@ -309,12 +324,13 @@ def _by_dynamic_stiffness(truth: Evaluation, disturbance: Disturbance) -> float:
     cuts = disturbance.cuts
     own = disturbance.filter.poles if disturbance.filter is not None else np.zeros(0, complex)
     nodes, weights = resonance_quadrature(np.concatenate([truth.poles.all, own]), low, high, cuts)
-    response = _dense_responses(truth, nodes, disturbance.at)
-    return float(np.sum(weights / (2 * np.pi) * disturbance.one_sided_psd(nodes) * np.abs(response) ** 2))
+    responses = _dense_responses(truth, nodes, *(f"{axis}{disturbance.at}" for axis in _sources(disturbance)))
+    density = weights / (2 * np.pi) * disturbance.one_sided_psd(nodes)
+    return float(density @ np.sum(np.abs(responses) ** 2, axis=1))
 
 
-def _dense_responses(truth: Evaluation, frequencies: Array, at: str) -> ComplexArray:
-    """(m,) Line-of-sight response to one input, by a dense solve at each frequency."""
+def _dense_responses(truth: Evaluation, frequencies: Array, *inputs: str) -> ComplexArray:
+    """(m, k) Line-of-sight responses about all axes to all inputs, by a dense solve at each frequency."""
     structure, frame, modes, loop = truth.system.structure, truth.frame, truth.all_modes, truth.design.loop
     stiff, heavy = _forces(truth)
     # Of a large structure the motions that its truncated basis spans, of others all.
@@ -323,23 +339,31 @@ def _dense_responses(truth: Evaluation, frequencies: Array, at: str) -> ComplexA
     momentum = span.T @ heavy(frame.shapes)
     k = k + (momentum * np.where(modes.rigid, modes.stiffness, 0.0)) @ momentum.T
     c = (momentum * modes.damping) @ momentum.T
-    port = truth.system.mirror_port
-    rows = {name: structure.port(name) @ span for name in loop.ports(port)}
-    whole = coupled_matrices((m, c, k), rows, port, loop.mirror, loop.placement, loop.actuators)
-    size, n = whole.mass.shape[0], m.shape[0]
-    loads = {"mirror_torque": np.eye(size)[whole.mirror], "hub_torque": np.zeros(size)}
-    loads["hub_torque"][:n] = structure.port("hub") @ span
-    response: ComplexArray = np.zeros(frequencies.size, dtype=complex)
+    whole = loop_matrices(loop, (m, c, k), lambda port: structure.port(port) @ span, truth.system.mirror_port)
+    size = whole.mass.shape[0]
+    axes = [("", loop.controller, whole.control, whole.sensor, np.eye(size)[whole.mirror], loop.hub)]
+    if whole.other is not None and loop.beside is not None:
+        turned, beside = np.eye(size)[-1], loop.beside
+        axes.append((OTHER, beside.controller, whole.other, turned, turned, beside.hub or loop.hub))
+    response: ComplexArray = np.zeros((frequencies.size, len(axes) * len(inputs)), dtype=complex)
     for i, w in enumerate(frequencies):
         s = 1j * w
-        feedback = pid_response(loop.controller, s) * whole.control
-        total = whole.stiffness + s * whole.damping + s**2 * whole.mass + np.outer(feedback, whole.sensor)
-        # Whatever else is measured comes back as torque −K times it.
-        response[i] = np.linalg.solve(total, loads.get(at, -feedback))[whole.mirror]
-    return response + complex(at == "line_of_sight")
+        total = whole.stiffness + s * whole.damping + s**2 * whole.mass
+        loads: dict[str, ComplexArray] = {}
+        for axis, pid, control, sensor, mirror, hub in axes:
+            feedback = pid_response(pid, s) * control
+            total = total + np.outer(feedback, sensor)
+            on_hub = np.append(structure.port(hub) @ span, np.zeros(size - m.shape[0]))
+            # Whatever else is measured comes back as torque −K times it.
+            loads |= {f"{axis}mirror_torque": mirror, f"{axis}hub_torque": on_hub}
+            loads |= {f"{axis}line_of_sight": -feedback, f"{axis}sensor_noise": -feedback}
+        moved = np.linalg.solve(total, np.array([loads[name] for name in inputs]).T)
+        response[i] = (np.array([mirror for *_, mirror, _ in axes]) @ moved).ravel()
+    seen = [name == f"{axis}line_of_sight" for axis, *_ in axes for name in inputs]
+    return response + np.array(seen, dtype=complex)
 
 
-def _size(constraint: Constraint) -> float:
+def _size(constraint: Constraint | ConstraintReport) -> float:
     finite = [abs(b) for b in (constraint.lower, constraint.upper) if np.isfinite(b) and b != 0]
     return max(finite, default=1.0)
 
@@ -400,7 +424,7 @@ def _optimality(
     span = program.upper - program.lower
     at_upper, at_lower = program.upper - z <= _ACTIVE * span, z - program.lower <= _ACTIVE * span
     matrix = np.array(columns).reshape(-1, z.size).T
-    weights, residual = _multipliers(matrix, gradient, at_upper, at_lower)
+    weights, residual = active_multipliers(matrix, gradient, at_upper, at_lower)
     multipliers: dict[str, float] = {}
     for i, sign, weight in zip(owner, signs, weights, strict=True):
         name = program.row_names[i]
@@ -409,33 +433,3 @@ def _optimality(
     for name in program.row_names:
         multipliers.setdefault(name, 0.0)
     return multipliers, float(np.abs(residual).max())
-
-
-def _multipliers(
-    matrix: Array, gradient: Array, at_upper: NDArray[np.bool_], at_lower: NDArray[np.bool_]
-) -> tuple[Array, Array]:
-    """Weights of active rows that leave least of the gradient, and what they leave, one multiplier per active bound.
-
-    The multiplier of a bound takes what pushes its variable against it. Which bounds do follows from the weights of the
-    few rows: a convex problem, solved by repeating the least squares over what no bound takes.
-    """
-    weights, residual = np.zeros(matrix.shape[1]), gradient
-
-    def left(weights: Array) -> Array:
-        rest = gradient + matrix @ weights
-        return np.where((at_upper & (rest < 0)) | (at_lower & (rest > 0)), 0.0, rest)
-
-    best = left(weights)
-    taken = at_upper | at_lower
-    for _ in range(_ROUNDS if matrix.shape[1] else 0):
-        if taken.all():
-            break
-        found, _ = optimize.nnls(matrix[~taken], -gradient[~taken])
-        residual = left(found)
-        if np.linalg.norm(residual) <= np.linalg.norm(best):
-            weights, best = found, residual
-        now = (residual == 0) & (at_upper | at_lower)
-        if np.array_equal(now, taken):
-            break
-        taken = now
-    return weights, best

@@ -42,7 +42,7 @@ class StudyError(FosoptError):
     ) -> None:
         self.message, self.file, self.line, self.column, self.path = message, file, line, column, path
         where = ":".join(str(part) for part in (file, line, column) if part is not None)
-        super().__init__(": ".join(part for part in (where, path, message) if part))
+        super().__init__(printable(": ".join(part for part in (where, path, message) if part)))
 
 
 class UnstableError(FosoptError):
@@ -55,6 +55,11 @@ class SolverError(FosoptError):
 
 class StoppedError(FosoptError):
     """A run that the machine stopped before its end; what is finished is in its record, and it can be resumed."""
+
+
+def printable(text: str) -> str:
+    """Text for a message in a terminal, a question mark for each character that would command it."""
+    return "".join(c if c.isprintable() else "?" for c in text)
 
 
 def did_you_mean(name: str, known: Iterable[str]) -> str:

@@ -5,12 +5,13 @@ python-control is an optional extra, `pip install fosopt[control]`, imported whe
 
 from __future__ import annotations
 
+from contextlib import suppress
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from scipy import signal
 
-from fosopt.control import Loop, StateSpace, loop_transfer, plant_state_space
+from fosopt.control import OTHER, Loop, StateSpace, loop_transfer, plant_state_space
 from fosopt.control.sampled import sampled_loop
 from fosopt.control.systems import (
     controller_state_space,
@@ -31,9 +32,13 @@ def systems(loop: Loop, modes: ModalSet, mirror_port: str) -> dict[str, StateSpa
 
     ``plant`` has disturbance torques and all motions; ``controller`` is left out where its derivative does not roll
     off. ``sampled_plant`` holds hold, delay and anti-alias filters, ``sampled_controller`` what the computer runs.
-    Close the loop from ``control_torque`` to ``control_torque`` through ``sensor_angle``.
+    Close the loop from ``control_torque`` to ``control_torque`` through ``sensor_angle``. A second axis has its own
+    controller and signals, `control.OTHER` before their names, and its loop is closed through its ``mirror_angle``.
     """
     found = {"plant": plant_state_space(loop, modes, mirror_port)}
+    if loop.beside is not None:
+        with suppress(ModelError):
+            found[f"{OTHER}controller"] = controller_state_space(loop.beside.controller)
     try:
         found["controller"] = controller_state_space(loop.controller)
     except ModelError:

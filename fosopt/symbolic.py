@@ -15,10 +15,12 @@ from fosopt.actuators import BICOLLOCATED, Mirror, MirrorReactionMass, Placement
 from fosopt.control import (
     DIRECT,
     NUMERATORS,
+    OTHER_AXIS,
     PID,
     Loop,
     Receptances,
     SignalPath,
+    SteeredAxis,
     characteristic,
     closed_loop_response,
     loop_transfer,
@@ -53,40 +55,83 @@ class Layout:
     actuators: tuple[ReactionMassActuator, ...] = ()
     reaction_mass: MirrorReactionMass | None = None
     path: SignalPath = DIRECT
+    hub: str = "hub"
+    beside: BesideLayout | None = None
+
+    @property
+    def size(self) -> int:
+        """Number of parameters, those of `LOOP_PARAMETERS` for each axis."""
+        return len(LOOP_PARAMETERS) * (1 if self.beside is None else 2)
+
+
+@dataclass(frozen=True)
+class BesideLayout:
+    """The same of a mirror's other axis."""
+
+    port: str
+    hub: str | None
+    path: SignalPath
 
 
 def layout_of(loop: Loop) -> Layout:
     """The layout of a loop."""
-    return Layout(loop.placement, loop.actuators, loop.mirror.reaction_mass, loop.controller.path)
+    other = loop.beside
+    beside = None if other is None else BesideLayout(other.port, other.hub, other.controller.path)
+    counter, path = loop.mirror.reaction_mass, loop.controller.path
+    return Layout(loop.placement, loop.actuators, counter, path, loop.hub, beside)
 
 
 _MIRROR_ALONE = Layout()
 
 
 def loop_of(parameters: Any, layout: Layout = _MIRROR_ALONE) -> Loop:
-    """A loop from its (8,) parameters in the order of `LOOP_PARAMETERS`, and its layout."""
-    j, w, z, gain, kp, ki, kd, time = (parameters[i] for i in range(len(LOOP_PARAMETERS)))
-    mirror = Mirror(j, w, z, layout.reaction_mass)
-    return Loop(mirror, PID(gain, kp, ki, kd, time, layout.path), layout.placement, layout.actuators)
+    """A loop from its parameters, `LOOP_PARAMETERS` of the first and then of a second axis, and its layout."""
+    mirror, controller = _axis_of(parameters, 0, layout.path, layout.reaction_mass)
+    beside = None
+    if layout.beside is not None:
+        other = _axis_of(parameters, len(LOOP_PARAMETERS), layout.beside.path)
+        beside = SteeredAxis(layout.beside.port, *other, layout.beside.hub)
+    return Loop(mirror, controller, layout.placement, layout.actuators, beside, layout.hub)
+
+
+def _axis_of(
+    parameters: Any, first: int, path: SignalPath, counter: MirrorReactionMass | None = None
+) -> tuple[Mirror, PID]:
+    j, w, z, gain, kp, ki, kd, time = (parameters[first + i] for i in range(len(LOOP_PARAMETERS)))
+    return Mirror(j, w, z, counter), PID(gain, kp, ki, kd, time, path)
 
 
 def loop_parameters(loop: Loop) -> Array:
-    """(8,) Parameters of a numerical loop in the order of `LOOP_PARAMETERS`."""
-    m, c = loop.mirror, loop.controller
+    """(8,) Parameters of a numerical loop in the order of `LOOP_PARAMETERS`, of one with a second axis (16,)."""
+    axes = [(loop.mirror, loop.controller)]
+    if loop.beside is not None:
+        axes.append((loop.beside.mirror, loop.beside.controller))
     return np.array(
-        [m.inertia, m.natural_frequency, m.damping_ratio, c.gain, c.kp, c.ki, c.kd, c.rolloff_time],
+        [
+            value
+            for m, c in axes
+            for value in (
+                m.inertia,
+                m.natural_frequency,
+                m.damping_ratio,
+                c.gain,
+                c.kp,
+                c.ki,
+                c.kd,
+                c.rolloff_time,
+            )
+        ],
         dtype=float,
     )
 
 
 def _formula(response: str) -> Callable[[Loop, Any, Receptances], Any]:
-    if response in NUMERATORS:
+    if response in NUMERATORS or response in OTHER_AXIS:
         return lambda loop, s, g: closed_loop_response(response, loop, s, g)
     others = {"characteristic": characteristic, "loop_transfer": loop_transfer}
     if response not in others:
-        raise ModelError(
-            f"transfer function '{response}' does not exist; {did_you_mean(response, [*NUMERATORS, *others])}"
-        )
+        known = [*NUMERATORS, *OTHER_AXIS, *others]
+        raise ModelError(f"transfer function '{response}' does not exist; {did_you_mean(response, known)}")
     return others[response]
 
 
@@ -94,17 +139,17 @@ def _formula(response: str) -> Callable[[Loop, Any, Receptances], Any]:
 def response_function(response: str, layout: Layout = _MIRROR_ALONE) -> ca.Function:
     """A transfer function of the loop as a CasADi function.
 
-    Inputs are the (8,) `LOOP_PARAMETERS` and the real and imaginary parts of s and of the receptances of the
-    structure alone, one after another in the order of `control.Loop.pairs`: (6,) with g_rr and g_ro for a
-    bicollocated mirror alone. The output is (2,), real and imaginary part. `response` is a name in
-    `control.NUMERATORS`, ``characteristic`` or ``loop_transfer``.
+    Inputs are the (8,) `LOOP_PARAMETERS`, of two axes (16,), and the real and imaginary parts of s and of the
+    receptances of the structure alone, one after another in the order of `control.Loop.pairs`: (6,) with g_rr and
+    g_ro for a bicollocated mirror alone. The output is (2,), real and imaginary part. `response` is a name in
+    `control.NUMERATORS` or `control.OTHER_AXIS`, ``characteristic`` or ``loop_transfer``.
 
     Raises
     ------
     ModelError
         For an unknown name.
     """
-    p = ca.SX.sym("p", len(LOOP_PARAMETERS))
+    p = ca.SX.sym("p", layout.size)
     loop = loop_of(p, layout)
     z = ca.SX.sym("z", 2 + 2 * len(loop.pairs))
     s, *pairs = (ComplexPair(z[i], z[i + 1]) for i in range(0, z.numel(), 2))
@@ -141,7 +186,7 @@ class LoopDifferential:
         (q, m) complex c, for Re Σ_i c_i dg(s_i), for those of the structure alone, in the order of
         `control.Loop.pairs`.
     parameters
-        (8,) derivatives for the `LOOP_PARAMETERS`.
+        (8,) derivatives for the `LOOP_PARAMETERS`, of a loop with a second axis (16,).
     """
 
     receptances: ComplexArray

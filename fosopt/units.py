@@ -14,7 +14,7 @@ from decimal import Decimal, localcontext
 from fractions import Fraction
 from functools import cache
 
-from fosopt.errors import FosoptError
+from fosopt.errors import FosoptError, printable
 
 HZ = 2 * math.pi
 """One hertz [rad/s]."""
@@ -251,7 +251,7 @@ def noun(dimension: str) -> str:
 def quote(value: object) -> str:
     """A value as a message shows it: short, on one line."""
     text = "null" if value is None else str(value).lower() if isinstance(value, bool) else str(value)
-    text = "".join(c if c.isprintable() else "?" for c in " ".join(text.split()))
+    text = printable(" ".join(text.split()))
     text = text if len(text) <= 40 else text[:37] + "..."
     return f"'{text}'" if isinstance(value, str) else text
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from base64 import b64encode
 from typing import Any
 
 import numpy as np
@@ -63,6 +64,19 @@ def truss(mass: float, seed: int) -> dict[str, object]:
     }
 
 
+def shapes(made: dict[str, object], count: int) -> dict[str, object]:
+    """Half waves of a truss and of the mirror at its end; the last mode moves nothing that can be drawn."""
+    nodes: Any = made["nodes"]
+    x = np.array([*(node[0] for node in nodes), BAY * BAYS]) / (BAY * BAYS)
+    values: list[str | None] = []
+    for k in range(count - 1):
+        across = np.sin((k + 0.5) * np.pi * x)
+        moved = np.column_stack([np.zeros(x.size), across / np.abs(across).max()])
+        values.append(b64encode(np.rint(127 * moved).astype(np.int8).tobytes()).decode())
+    angles: list[float | None] = [0.25 * (k + 1) for k in range(count - 1)]
+    return {"values": [*values, None], "mirror": [*angles, None], "port": [*angles, None]}
+
+
 def detail(mass: float, jitter: dict[str, float], seed: int) -> dict[str, object]:
     """Curves of the shape a flexible loop has: poles beside zeros above a rigid-body slope."""
     poles = 5.2 * np.sqrt(mass / 9) * np.array([1.0, 2.7, 3.9, 5.1, 8.3, 12.4, 17.0, 24.0, 38.0, 55.0])
@@ -85,8 +99,10 @@ def detail(mass: float, jitter: dict[str, float], seed: int) -> dict[str, object
     time = np.linspace(0, 0.12, 400)
     ring = 0.04 * np.exp(-6 * time) * np.sin(HERTZ * poles[3] * time)
     ring += np.exp(-90 * time) * np.cos(400 * time)
+    made = truss(mass, seed)
     return {
-        "truss": truss(mass, seed),
+        "truss": made,
+        "shapes": shapes(made, len(poles)),
         "places": [{"kind": "mirror", "port": "tip", "at": "B20", "xyz": [BAY * BAYS, 0.0]}],
         "modes": [
             {

@@ -11,6 +11,7 @@ import reference
 from fosopt.actuators import Mirror
 from fosopt.control import PID, Loop, closed_loop_poles, closed_loop_response
 from fosopt.errors import SolverError
+from fosopt.metrics import bandwidth
 from fosopt.metrics.bandwidth import closed_loop_bandwidth
 from fosopt.metrics.functional import LoopModel
 from fosopt.modes import ModalSet
@@ -51,4 +52,11 @@ def test_on_a_flexible_truss_nothing_passes_beyond_the_bandwidth_and_dips_below_
 def test_a_command_response_that_passes_nowhere_has_no_bandwidth():
     loop = Loop(Mirror(1.0, 100.0, 0.7), PID(1.0, 10.0, 0.0, 0.0))
     with pytest.raises(SolverError, match="passes at no frequency"):
+        closed_loop_bandwidth(*closed(loop))
+
+
+def test_a_command_response_that_passes_wherever_one_looks_has_no_bandwidth(monkeypatch):
+    loop = Loop(Mirror(1.0, 100.0, 0.7), PID(1.0, 1e6, 0.0, 10.0))
+    monkeypatch.setattr(bandwidth, "frequency_grid", lambda *_: np.array([1.0, 2.0, 3.0]))
+    with pytest.raises(SolverError, match="passes at every frequency"):
         closed_loop_bandwidth(*closed(loop))

@@ -14,7 +14,14 @@ from fosopt.actuators import Mirror
 from fosopt.control import PID, ClosedLoopPoles, Loop, closed_loop_poles, closed_loop_state_space
 from fosopt.control.open_loop import OpenLoopPoles
 from fosopt.errors import ModelError
-from fosopt.metrics.boundary import Boundary, _vertex, boundary_mode, branches, stability_boundaries
+from fosopt.metrics.boundary import (
+    Boundary,
+    _crossing,
+    _vertex,
+    boundary_mode,
+    branches,
+    stability_boundaries,
+)
 from fosopt.metrics.functional import LoopModel
 from fosopt.modes import ModalSet
 
@@ -147,6 +154,39 @@ def test_branches_of_a_contour_follow_the_nearest_boundary_of_their_kind():
     assert branches([[a], [other, c], [c]]) == [[0], [1, 0], [0]]
 
 
+@pytest.mark.parametrize(("factor", "numbers"), [(0.55, [0]), (0.45, [1]), (1.9, [0]), (2.2, [1])])
+def test_a_branch_goes_on_within_a_factor_of_two_in_frequency(factor, numbers):
+    assert branches([[Boundary(1.0, True, 10j)], [Boundary(1.0, True, 10j * factor)]]) == [[0], numbers]
+
+
+def test_of_two_boundaries_the_nearer_one_by_ratio_goes_on():
+    a, b = Boundary(1.0, True, 10j), Boundary(10.0, True, 10j)
+    near = Boundary(4.0, True, 10j)
+    assert branches([[a, b], [near]]) == [[0, 1], [1]]
+    assert branches([[a, b], [near]], log=False) == [[0, 1], [0]]
+    assert branches([[a, b], [replace(near, value=8.0)]], log=False) == [[0, 1], [1]]
+
+
 def test_the_lowest_place_of_a_parabola_is_found_with_its_value():
     places = [(x, 3 + 2 * (x - 1.3) ** 2) for x in (0.2, 1.1, 2.9)]
     assert _vertex(*places) == pytest.approx((1.3, 3.0), rel=1e-13)
+
+
+@pytest.mark.parametrize("mirrored", [False, True])
+def test_a_valley_that_is_like_no_parabola_is_followed_below_zero(mirrored):
+    # Below zero on a millionth of the range, and two hundred times as steep on one side as on the other.
+    def valley(u):
+        right = (1 - u if mirrored else u) - 0.35
+        return abs(right) ** 1.45 * (200.0 if right > 0 else 1.0) - 3e-9
+
+    places = []
+
+    def counted(u):
+        places.append(u)
+        return valley(u)
+
+    middle = 0.6505 if mirrored else 0.3495
+    u = _crossing(counted, *((u, valley(u)) for u in (middle, 0.0, 1.0)))
+    assert valley(u) < 0
+    assert len(places) < 40
+    assert all(0 < place < 1 for place in places)

@@ -12,8 +12,9 @@ import reference
 
 from fosopt.errors import SolverError, UnstableError
 from fosopt.metrics.disturbances import Disturbance, ShapingFilter
+from fosopt.metrics.margins import decay_functional
 from fosopt.metrics.step import StepCommand
-from fosopt.modes import Damping, Hub
+from fosopt.modes import Damping, Hub, ModalSet
 from fosopt.problem import (
     Design,
     Evaluation,
@@ -91,6 +92,8 @@ CONFIGURATIONS = {
         NO_STEP | {"boundary": "table", "hub": Hub("free"), "selection": ModeSelection(count=6)},
         OWN,
     ),
+    # The hub's own mode lies among those of the structure, and its stiffness follows the mass.
+    "stiffly held hub": (NO_STEP | {"hub": Hub("held", 60.0, 0.1), "disturbances": (AIR,)}, INDEXED),
 }
 
 
@@ -213,6 +216,16 @@ def test_a_mode_the_loop_does_not_see_gives_the_gradient_of_its_own_decay():
     assert value == pytest.approx(-ratio * frequency, rel=1e-12, abs=0)
     rate = ratio + frequency * (0.02 - 0.001) / (3000.0 - 10.0)
     assert np.abs(gradient + rate * by_frequency).max() <= 1e-6 * np.abs(gradient).max()
+
+
+def test_the_decay_of_a_mode_that_no_longer_oscillates_follows_its_stiffness_and_mass():
+    # ζ = 5/4 leaves the slower pole at −ω/2 with ω² = K/M; the other mode decays elsewhere and is not asked for.
+    frequency, ratio = np.array([30.0, 70.0]), np.array([1.25, 1.25])
+    shape = np.array([[0.3, 0.4], [0.0, 0.2]])
+    modes = ModalSet(frequency, ratio, shape, ("hub", "tip"), np.zeros(2, bool))
+    found = decay_functional(frequency**2, modes, Damping((1.25,)), ("tip",), np.arange(2), -15.0)
+    np.testing.assert_allclose(found.stiffness, np.diag([-1 / (4 * 30.0), 0.0]), rtol=1e-12)
+    np.testing.assert_allclose(found.mass, np.diag([30.0 / 4, 0.0]), rtol=1e-12)
 
 
 @pytest.mark.parametrize("keep", [None, (2, 3)], ids=["all modes", "two modes"])

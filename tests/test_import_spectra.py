@@ -76,6 +76,11 @@ def test_a_level_holds_from_its_row_to_the_next():
     np.testing.assert_array_equal(density_between(w, rows, psd, "level"), [0, 3, 3, 7, 7, 0])
 
 
+def test_at_the_last_row_a_level_still_holds_whatever_that_row_says():
+    rows, psd = np.array([1.0, 2.0, 5.0]), np.array([3.0, 7.0, 99.0])
+    np.testing.assert_array_equal(density_between(rows, rows, psd, "level"), [3, 7, 7])
+
+
 @pytest.mark.parametrize("interpolation", ["linear", "log", "level"])
 @pytest.mark.parametrize("at", ["hub_torque", "line_of_sight"])
 def test_jitter_under_a_table_is_its_integral(interpolation, at):
@@ -140,6 +145,7 @@ def test_levels_accumulate_to_the_rms_they_came_from():
     f, rms = np.array([1.0, 3.0, 10.0, 20.0]), np.array([0.0, 0.2, 0.2, 0.5])
     levels = levels_of_cumulative_rms(f, rms)
     np.testing.assert_allclose(np.cumsum(levels[:-1] * np.diff(f)), rms[1:] ** 2, rtol=1e-14)
+    assert levels[-1] == levels[-2] > 0
     # From the highest frequency down: the same levels of a table that ends with zero.
     backward = np.sqrt(rms[-1] ** 2 - rms**2)
     np.testing.assert_allclose(levels_of_cumulative_rms(f, backward), levels, rtol=1e-12, atol=1e-15)

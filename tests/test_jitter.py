@@ -203,6 +203,15 @@ def test_shifted_jitter_is_that_of_poles_moved_left_by_the_shift(disturbance):
     assert np.sqrt(variance(evaluation, disturbance, shift)) == pytest.approx(expected, rel=1e-6, abs=0)
 
 
+@pytest.mark.parametrize("disturbance", reference.DISTURBANCES[:2], ids=lambda d: d.at)
+def test_shifted_jitter_over_a_band_that_leaves_nothing_out_is_the_same(disturbance):
+    # Torques move the line of sight as 1/s² or less at high frequency; beyond 1e6 rad/s nothing is left.
+    evaluation, shift = reference.evaluation(percent=2.0), 2.0
+    banded = replace(disturbance, band=(0.0, 1e6))
+    expected = variance(evaluation, disturbance, shift)
+    assert variance(evaluation, banded, shift) == pytest.approx(expected, rel=1e-8, abs=0)
+
+
 @EACH
 def test_shifted_jitter_of_a_stable_loop_is_its_jitter_as_the_shift_goes_to_zero(disturbance, evaluation):
     values = np.array([variance(evaluation, disturbance, s) for s in (1e-5, 1e-6, 0.0)])
@@ -289,6 +298,8 @@ def test_densities_are_one_sided_per_hertz():
 def test_a_filter_knows_its_poles_zeros_and_degree():
     shape = ShapingFilter((2.0, 0.0, 0.0), (1.0, 3.0, 2.0, 0.5))
     assert (shape.relative_degree, shape.zeros_at_origin) == (1, 2)
+    # Of zeros elsewhere there may be any number.
+    assert ShapingFilter((2.0, 5.0, 1.0, 0.0), (1.0, 3.0, 2.0, 0.5)).zeros_at_origin == 1
     s = np.array([3 + 1j])
     partial = np.sum(shape.residues / (s - shape.poles))
     assert partial == pytest.approx(shape.response(s)[0], rel=1e-12, abs=0)

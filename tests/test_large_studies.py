@@ -11,7 +11,6 @@ import small_problems
 from scipy import optimize, sparse
 from small_studies import analysis, run_text, single
 
-import fosopt.certify as certify_module
 from fosopt.account import account
 from fosopt.certify import certify
 from fosopt.cli.outcome import _truncation
@@ -19,6 +18,7 @@ from fosopt.control import gain_for_crossover
 from fosopt.errors import ModelError
 from fosopt.expressions import parse_expression
 from fosopt.problem import Evaluation, ModeSelection, Rows
+from fosopt.solve.kkt import active_multipliers
 from fosopt.study import parse_study
 from fosopt.study.build import build_problem
 
@@ -147,7 +147,7 @@ def test_multipliers_of_many_bounds_are_those_of_nonnegative_least_squares():
         unit = np.eye(n)
         every = np.hstack([rows, unit[:, upper], -unit[:, lower]])
         expected, least = optimize.nnls(every, -gradient)
-        weights, residual = certify_module._multipliers(rows, gradient, upper, lower)
+        weights, residual = active_multipliers(rows, gradient, upper, lower)
         assert np.linalg.norm(residual) == pytest.approx(least, rel=1e-9)
         assert weights == pytest.approx(expected[:m], rel=1e-7, abs=1e-9)
 

@@ -11,7 +11,7 @@ from scipy import linalg
 
 from fosopt.actuators import Mirror, MirrorReactionMass, ReactionMassActuator
 from fosopt.control import PID, Loop, closed_loop_poles, plant_state_space
-from fosopt.control.locus import root_locus
+from fosopt.control.locus import RootLocus, root_locus
 from fosopt.errors import ModelError
 from fosopt.modes import ModalSet
 
@@ -133,3 +133,17 @@ def test_a_locus_without_gain_is_refused(gain):
     loop, modes = reference.benchmark(1)
     with pytest.raises(ModelError, match="is not above zero; give the largest gain"):
         root_locus(with_gain(loop, gain), modes, "tip")
+
+
+def test_a_branch_that_is_unstable_twice_has_two_intervals_of_gains():
+    real = np.array([-1.0, 1.0, -3.0, 1.0, 2.0, -2.0])
+    locus = RootLocus(np.array([0.0, 1.0, 2.0, 4.0, 5.0, 6.0]), real[:, None] + 3j)
+    assert locus.unstable_gains(locus.branches[:, 0]) == ((0.5, 1.25), (3.5, 5.5))
+    # From the first gain on, and up to the last.
+    assert locus.unstable_gains(-locus.branches[:, 0]) == ((0.0, 0.5), (1.25, 3.5), (5.5, 6.0))
+
+
+def test_of_two_branches_the_one_that_starts_nearer_is_asked_for():
+    branches = np.array([[-1 + 5j, -1 - 5j, -4 + 1j], [-2 + 6j, -2 - 6j, -3 + 1j]])
+    locus = RootLocus(np.array([0.0, 1.0]), branches)
+    assert [locus.branch(start)[1] for start in (4j, -4j, -3.5)] == [-2 + 6j, -2 - 6j, -3 + 1j]

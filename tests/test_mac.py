@@ -72,6 +72,7 @@ def test_modes_that_agree_too_little_stay_alone():
     assurance = np.array([[0.95, 0.02, 0.0], [0.01, 0.4, 0.3]])
     assert match_modes(assurance).tolist() == [0, -1]
     assert match_modes(assurance, least=0.35).tolist() == [0, 1]
+    assert match_modes(np.array([[0.6]])).tolist() == [0]
     # More modes than partners, and none at all.
     assert match_modes(assurance.T).tolist() == [0, -1, -1]
     assert match_modes(np.zeros((2, 0))).tolist() == [-1, -1]

@@ -13,7 +13,7 @@ from test_placement import loop_of as placed_loop
 
 from fosopt.actuators import MirrorReactionMass
 from fosopt.control import Loop, closed_loop_poles
-from fosopt.control.many import many_closed_loop_poles
+from fosopt.control.many import _levels, many_closed_loop_poles
 from fosopt.errors import UnstableError
 from fosopt.metrics.disturbances import Disturbance, low_pass
 from fosopt.metrics.functional import LoopModel
@@ -72,7 +72,7 @@ def test_jitter_found_together_is_that_found_alone_and_none_where_unstable():
             unstable += 1
             assert np.isnan(row).all()
             continue
-        assert row == pytest.approx([variance.value for variance in alone], rel=1e-11)
+        assert row == pytest.approx([variance.value for variance in alone], rel=1e-11, abs=0)
     assert 0 < unstable < len(loops)
 
 
@@ -147,6 +147,17 @@ def test_every_other_metric_follows_from_poles_of_a_structure_with_something_hun
         for metric in ("spectral_abscissa", "modulus_margin"):
             assert each.value(metric) == pytest.approx(alone.value(metric), rel=1e-7), metric
     assert stable
+
+
+def test_receptances_of_a_structure_with_something_hung_on_it_are_those_of_its_own_poles():
+    first, designs = general("reactionless with mismatch", reference.HELD)
+    together, alone = first.neighbors(designs[:1])[0], Evaluation(first.system, designs[0])
+    assert together.poles.open_loop.hung and not alone.poles.open_loop.hung
+    s = np.array([-30 + 200j, 5 + 47j, -800 + 3000j])
+    found, expected = (each.poles.open_loop.receptances(0.9 * s, 0.1 * s) for each in (together, alone))
+    for one, other in zip(found.values, expected.values, strict=True):
+        np.testing.assert_allclose(one.value, other.value, rtol=1e-9)
+        np.testing.assert_allclose(one.slope, other.slope, rtol=1e-9)
 
 
 def test_a_pair_that_becomes_two_real_poles_is_followed_on_both_sides():
@@ -236,3 +247,16 @@ def test_neighbors_of_an_evaluation_have_its_modes_and_their_own_metrics():
         if not each.stable:
             with pytest.raises(UnstableError):
                 each.value("jitter_total")
+
+
+@pytest.mark.parametrize("count", [1, 2, 3, 10, 24])
+def test_each_line_starts_half_way_between_its_nearest_neighbors_that_are_known(count):
+    known = []
+    for lines, left, right in _levels(count):
+        for line, a, b in zip(lines, left, right, strict=True):
+            below, above = [k for k in known if k < line], [k for k in known if k > line]
+            assert a == (max(below) if below else -1)
+            assert b == (min(above) if above else -1)
+            assert b < 0 or line == (a + b) // 2
+        known += lines.tolist()
+    assert sorted(known) == list(range(count))

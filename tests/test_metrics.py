@@ -19,7 +19,7 @@ from fosopt.control import (
 from fosopt.errors import ModelError, SolverError
 from fosopt.metrics.functional import LoopModel
 from fosopt.metrics.jitter import pole_residues
-from fosopt.metrics.margins import crossover, modulus_margins
+from fosopt.metrics.margins import _stationary, crossover, modulus_margins
 from fosopt.metrics.step import StepCommand, step_response
 from fosopt.modes import Hub
 from fosopt.problem import ModeSelection
@@ -225,3 +225,19 @@ def test_the_truth_model_has_all_modes_and_the_design_model_those_selected():
     truth = type(reduced)(reduced.system.truth, reduced.design)
     assert truth.modes.natural_frequency.size == 61
     assert np.array_equal(reduced.modes.natural_frequency, truth.modes.natural_frequency[:7])
+
+
+@pytest.mark.parametrize(
+    "falling", [lambda w: np.arctan(40 * (3 - w)), lambda w: np.exp(-w) - np.exp(-3.0)], ids=["step", "tail"]
+)
+def test_where_a_slope_falls_through_zero_is_found_at_a_superlinear_rate(falling):
+    calls = []
+
+    def slope(w):
+        calls.append(w)
+        return falling(w)
+
+    found = _stationary(slope, np.array([1.0, 2.0]), np.array([5.0, 100.0]))
+    assert found == pytest.approx(3.0, rel=1e-14)
+    # Halving the longer bracket to the last digit takes fifty.
+    assert len(calls) <= 18

@@ -113,7 +113,7 @@ def test_a_torque_begins_with_the_response_at_infinite_frequency():
     assert torque_at_once(replace(pid, path=falling)) == 0.0
     steep = SignalPath((low_pass_filter(500.0, 2),))
     assert torque_at_once(replace(pid, rolloff_time=0.0, path=steep)) == 0.0
-    double = SignalPath((Filter((2.0, 1.0), (1.0, 5.0)),))
+    double = SignalPath((Filter((6.0, 3.0), (3.0, 15.0)),))
     assert torque_at_once(replace(pid, path=double)) == pytest.approx(2 * gain * (pid.kp + pid.kd / 1e-3))
 
 

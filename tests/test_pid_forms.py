@@ -85,6 +85,8 @@ def test_the_forms_are_printed_with_their_units():
     )
     assert lines[1] == "ideal: K = 1200 N m/rad, T_i = 0.12 s, T_d = 0.0166667 s, T_f = 0.002 s"
     assert lines[2].startswith("series: K = ")
+    nothing_to_filter = form_lines(PID(20.0, 60.0, 500.0, 0.0, 2e-3))
+    assert not any("T_f" in line for line in nothing_to_filter)
     complex_zeros = form_lines(PID(1.0, 10.0, 1000.0, 1.0))
     assert "zeros are complex" in complex_zeros[2]
 
@@ -106,3 +108,14 @@ def test_the_forms_are_printed_with_their_units():
 def test_forms_that_do_not_exist_are_refused(make, says):
     with pytest.raises(ModelError, match=says):
         make()
+
+
+@pytest.mark.parametrize("size", [1e-9, 1.0, 1e9])
+def test_a_double_zero_is_no_complex_pair_however_large_the_gains(size):
+    # Rounding leaves either sign of what should be zero.
+    for time in np.geomspace(0.001, 1.0, 50):
+        double = series_form(controller_of(IdealForm(size / 3, 4 * time, time)))
+        assert double.integral_time == pytest.approx(2 * time, rel=1e-6)
+        assert double.derivative_time == pytest.approx(2 * time, rel=1e-6)
+    with pytest.raises(ModelError, match="zeros are complex"):
+        series_form(controller_of(IdealForm(size / 3, 4.0, 1.001)))

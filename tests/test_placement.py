@@ -30,11 +30,12 @@ from fosopt.control import (
     plant_state_space,
     with_attachments,
 )
+from fosopt.control.open_loop import _paired
 from fosopt.control.state_space import modal_matrices
 from fosopt.errors import ModelError
 from fosopt.metrics.jitter import jitter_variances
 from fosopt.modes import Hub
-from fosopt.plant import coupled_modes
+from fosopt.plant import coupled_modes, modes_of_matrices
 from fosopt.problem import ModeSelection
 
 HZ = reference.HZ
@@ -297,3 +298,27 @@ def test_an_unknown_signal_is_refused_with_the_nearest_name():
     plant = plant_state_space(loop_of("bicollocated"), case("bicollocated").modes, "tip")
     with pytest.raises(ModelError, match="did you mean 'mirror_angle'"):
         plant.response(POINTS, "control_torque", "mirror_angel")
+
+
+def test_of_a_mirror_alone_modes_of_matrices_are_the_coupled_modes():
+    of = reference.structure()
+    modes, mirror = reference.modes_of(of).keep(slice(0, 12)), reference.mirror_of(of, 1.0)
+    expected = coupled_modes(modes, mirror, "tip")
+    found = modes_of_matrices(modal_matrices(reference.loop_of(mirror), modes, "tip"), mirror)
+    np.testing.assert_allclose(found.eigenvalue, expected.eigenvalue, rtol=1e-9)
+    share = found.effective_modal_reaction_inertia
+    np.testing.assert_allclose(share, expected.effective_modal_reaction_inertia, atol=1e-9)
+    assert share.sum() == pytest.approx(1, rel=1e-9)
+    assert found.mirror_mode == int(np.argmax(share))
+
+
+def test_real_poles_join_in_pairs_and_complex_ones_with_their_conjugates():
+    pole = np.array([-5.0, -1 + 7j, -2.0, -9.0, -1 - 7j, -3.0])
+    residue = np.array([[0.5, 2.0], [1 - 2j, 3j], [-1.0, 0.0], [4.0, 1.0], [1 + 2j, -3j], [0.3, -0.7]])
+    first, second, constant, linear = _paired(pole, residue.astype(complex))
+    assert np.allclose(
+        np.sort_complex(np.concatenate([first, second])), np.sort_complex(pole), rtol=0, atol=0
+    )
+    s = np.array([[1 + 2j], [-4 + 30j]])
+    joined = ((constant + s[..., None] * linear) / ((s - first) * (s - second))[..., None]).sum(axis=1)
+    np.testing.assert_allclose(joined, (residue / (s - pole)[..., None]).sum(axis=1), rtol=1e-13)

@@ -36,7 +36,7 @@ def test_noise_in_the_torque_gives_the_jitter_of_its_lyapunov_equation():
     b = np.zeros(n + 2)
     b[n + 1] = gain
     state = linalg.solve_continuous_lyapunov(a, -np.outer(b, b))
-    assert found == pytest.approx(angle @ state[:n, :n] @ angle, rel=1e-6)
+    assert found == pytest.approx(angle @ state[:n, :n] @ angle, rel=1e-6, abs=0)
 
 
 @pytest.mark.parametrize("changes", [{"ki": 0.0}, {"kd": 0.0}, {"rolloff_time": 1e-4}])

@@ -38,6 +38,7 @@ FIGURES = (
     "step",
     "window",
     "poles",
+    "shape",
 )
 LINKED = f"""JSON.stringify({json.dumps(FIGURES)}.map(
     (id) => document.getElementById(id).data.map(({{ x, y, text }}) =>
@@ -152,8 +153,8 @@ def test_a_click_on_a_point_changes_every_figure(browser: Browser, front: Path):
     browser.wait(selected("005"))
     after = json.loads(browser.evaluate(LINKED))
     same = [name for name, a, b in zip(FIGURES, before, after, strict=True) if a == b]
-    # Of the fake run modes and the error in the window are the same for all points.
-    assert set(same) <= {"window"}, f"{same} do not follow the selection"
+    # Of the fake run the error in the window is the same for all points, and so is every mode but for its bars.
+    assert set(same) <= {"window", "shape"}, f"{same} do not follow the selection"
     assert browser.evaluate("location.hash") == "#point=005"
     assert text(browser, "#selected-title").startswith("Point 005")
     browser.evaluate("location.hash = '#point=003'")
@@ -378,7 +379,7 @@ def test_bars_are_as_wide_as_their_areas_are_large(browser: Browser, folder: Pat
 def test_a_spatial_truss_is_looked_at_from_four_sides(browser: Browser, folder: Path):
     path = written(fake.spatial_run(), folder, "spatial")
     browser.open(path, PHONE)
-    assert browser.evaluate("document.getElementById('views').hidden") is False
+    assert browser.evaluate("document.getElementById('structure-views').hidden") is False
     data = "JSON.stringify(document.getElementById('structure').data[0].x.slice(0, 12))"
     aside = browser.evaluate(data)
     # A parallel projection onto two directions of length one, at right angles to each other.
@@ -388,14 +389,14 @@ def test_a_spatial_truss_is_looked_at_from_four_sides(browser: Browser, folder: 
     directions = np.column_stack([(along - first) / 0.4, by_y, (third - first - 0.177 * by_y) / 0.307])
     assert directions @ directions.T == pytest.approx(np.eye(2), abs=1e-12)
     assert directions[0, 0] > 0.9, "the mast lies along the picture"
-    browser.evaluate("document.querySelectorAll('#views button')[3].click()")
+    browser.evaluate("document.querySelectorAll('#structure-views button')[3].click()")
     browser.wait(f"{data} !== {json.dumps(aside)}")
     # Onto the y–z plane the section stands on itself: three corners, however many stations.
     pairs = browser.evaluate("""(() => { const { x, y } = document.getElementById('structure').data[0];
         return [...new Set(x.map((each, k) => each === null ? '' : `${each} ${y[k]}`))].filter(Boolean).length; })()""")
     assert pairs == 3
     assert "onto the y–z plane" in text(browser, "#structure-caption")
-    assert browser.evaluate("document.querySelectorAll('#views [aria-pressed=true]').length") == 1
+    assert browser.evaluate("document.querySelectorAll('#structure-views [aria-pressed=true]').length") == 1
 
 
 def test_a_front_of_ten_thousand_points_and_more_is_drawn(browser: Browser, folder: Path):

@@ -227,11 +227,11 @@ def test_the_error_in_the_window_has_the_mean_and_rms_of_the_metrics(small):
 # ---- size ----
 
 
-def test_a_point_of_the_full_truss_takes_twenty_kilobytes_of_a_report():
+def test_a_point_of_the_full_truss_takes_twenty_two_kilobytes_of_a_report():
     problem = build_problem(load_study(STUDIES / "mass-jitter.yaml"))
     point = {"key": "000", "detail": detail_of(problem.evaluate(problem.start, truth=True))}
     (first, second), trusses = packed([point, point])
     assert len(trusses) == 1
     assert first == second
-    assert len(json.dumps(first, separators=(",", ":"))) < 20_000
+    assert len(json.dumps(first, separators=(",", ":"))) < 22_000
     assert len(json.dumps(point)) < 60_000

@@ -474,7 +474,10 @@ def test_a_sweep_that_reads_a_side_file_is_the_same_with_workers_and_again(tmp_p
     monkeypatch.setattr("fosopt.study.sweep._THERE", 1)
     run_study(found, tmp_path / "here")
     run_study(found, tmp_path / "there", workers=Workers(1))
-    assert (tmp_path / "here/points.csv").read_bytes() == (tmp_path / "there/points.csv").read_bytes()
+    here, there = ((tmp_path / folder / "points.csv").read_text() for folder in ("here", "there"))
+    # Of where they came from they tell who computed.
+    assert here.count("options serial\n") == 1
+    assert here.replace("options serial\n", "options 1 worker\n") == there
     assert rerun_point(tmp_path / "here" / RECORD, "2", lambda: False)["differs"] == {}
 
 

@@ -113,7 +113,9 @@ def test_columns_of_the_table_carry_their_units_and_values_in_them(quick):
 
 @pytest.mark.parametrize("key", ["start", "000", "001", "004"])
 def test_a_design_run_again_has_the_same_metrics_to_the_last_bit(quick, tmp_path, key):
-    study = load_study(quick.out / "designs" / f"{key}.yaml")
+    file = quick.out / "designs" / f"{key}.yaml"
+    assert file.read_text(encoding="utf-8").startswith(f"# study {quick.run['provenance']['study']}; ")
+    study = load_study(file)
     assert study.kind == "analysis"
     (again,) = run_study(study, tmp_path / "again")["points"]
     point = by_key(quick.run["points"])[key]

@@ -8,19 +8,20 @@ from math import exp, inf, log, pi
 import numpy as np
 import pytest
 import reference
-from sampled_loops import rigid, sampled
+from sampled_loops import plain_simulation, rigid, sampled
 from scipy import integrate, linalg
 
-from fosopt.control import Sampling, closed_loop_poles, low_pass_filter, plant_state_space
-from fosopt.control.discrete import DiscreteController, DiscreteFilter, discrete_controller
-from fosopt.control.sampled import SampledLoop, energy_for_ever
+from fosopt.control import Sampling, closed_loop_poles, low_pass_filter
+from fosopt.control.discrete import DiscreteController, DiscreteFilter
+from fosopt.control.sampled import SampledLoop
+from fosopt.control.spans import energy_for_ever
 from fosopt.errors import ModelError, SolverError, UnstableError
 from fosopt.metrics.disturbances import Disturbance, ShapingFilter, high_pass, low_pass, white
 from fosopt.metrics.functional import LoopModel
 from fosopt.metrics.jitter import jitter_variances
 from fosopt.metrics.peaks import peaks
 from fosopt.metrics.sampled import SampledModel, averaged_variances
-from fosopt.metrics.sampled_check import forward, sampled_disagreement
+from fosopt.metrics.sampled_check import Forward, forward, sampled_disagreement
 from fosopt.metrics.sampled_steps import sampled_peaks, sampled_response, sampled_step_metrics
 from fosopt.metrics.sequence import Retargeting
 from fosopt.metrics.step import StepCommand, step_metrics
@@ -99,6 +100,18 @@ def test_two_routes_to_the_jitter_of_the_truss_agree(period, delay):
             model.variances[disturbance.name], abs=0, rel=1e-9
         )
         assert alone.variances[disturbance.name] == pytest.approx(forward(alone).variance, abs=0, rel=1e-7)
+
+
+def test_the_disagreement_of_rms_is_half_the_relative_one_of_the_mean_square(monkeypatch):
+    loop, modes = sampled(4e-4, 0.0)
+    model = SampledModel(loop, modes.keep(np.arange(4)), "tip", DISTURBANCES)
+    right = forward(model)
+    other = Forward(right.variance * 1.25, right.radius - 0.125)
+    monkeypatch.setattr("fosopt.metrics.sampled_check.forward", lambda _: other)
+    poles, jitter = sampled_disagreement(model)
+    assert poles == pytest.approx(0.125, rel=1e-9)
+    assert jitter == pytest.approx(0.5 * 0.25 / 1.25, rel=1e-6)
+    assert sampled_disagreement(replace(model, disturbances=()))[1] is None
 
 
 @pytest.mark.parametrize(("period", "delay"), [(4e-4, 0.0), (4e-4, 5.5e-4)])
@@ -189,46 +202,6 @@ def test_repeated_poles_of_a_spectrum_do_no_harm():
     of = [Disturbance(name, "mirror_torque", s) for name, s in (("a", double), ("b", near))]
     values = SampledModel(loop, modes, "tip", tuple(of)).variances
     assert values["a"] == pytest.approx(values["b"], abs=0, rel=1e-4)
-
-
-def plain_simulation(loop, modes, count, steps, command):
-    """The loop in small equal steps of T/count, with the delay a multiple of that: angle, stroke, rate and torque."""
-    plant = plant_state_space(loop, modes, "tip")
-    n = plant.a.shape[0]
-    period, delay = loop.controller.path.sampling.period, loop.controller.path.sampling.delay
-    whole = np.zeros((n + 1, n + 1))
-    whole[:n, :n], whole[:n, n] = plant.a, plant.b[:, plant.inputs.index("control_torque")]
-    carried = linalg.expm(whole * period / count)
-    controller = discrete_controller(loop.controller)
-    x, held, queue = np.zeros(n), 0.0, {}
-    memory = [
-        ([0.0] * len(t.numerator), [0.0] * len(t.numerator)) for t in (*controller.filters, *controller.pid)
-    ]
-    angle, rate = (plant.c[plant.outputs.index(f"mirror_{name}")] for name in ("angle", "rate"))
-    port = np.zeros(n)
-    port[: modes.natural_frequency.size] = modes.at("tip")
-    turning = np.roll(port, n // 2)
-    found = []
-
-    def run(term, state, value):
-        ins, outs = state
-        ins[1:], ins[0] = ins[:-1], value
-        result = np.dot(term.numerator, ins) - np.dot(term.denominator[1:], outs[: len(term.denominator) - 1])
-        outs[1:], outs[0] = outs[:-1], result
-        return result
-
-    late = round(delay / period * count)
-    for k in range(steps * count):
-        if k % count == 0:
-            e = command(k // count) - angle @ x
-            for term, state in zip(controller.filters, memory, strict=False):
-                e = run(term, state, e)
-            torques = zip(controller.pid, memory[len(controller.filters) :], strict=True)
-            queue[k + late] = sum(run(term, state, e) for term, state in torques)
-        held = queue.pop(k, held)
-        found.append([angle @ x, (angle - port) @ x, (rate - turning) @ x, held])
-        x = (carried @ np.append(x, held))[:n]
-    return np.array(found)
 
 
 @pytest.mark.parametrize("delay", [0.0, 0.75, 1.5])

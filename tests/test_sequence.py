@@ -92,3 +92,7 @@ def test_the_first_engagement_is_a_step_alone():
     error = step_error(*model(3))
     found = engagements(*model(3), replace(SQUARE, count=1))
     assert found.rms[0] == pytest.approx(2.0 * error.rms(0.04, 0.1), rel=1e-12)
+
+
+def test_a_square_wave_turns_back_at_every_engagement():
+    assert SQUARE.step.tolist() == [2.0, -2.0, 2.0, -2.0, 2.0]

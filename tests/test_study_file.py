@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 from example_study import EXAMPLE
-from hypothesis import HealthCheck, given, settings
+from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
 
 from fosopt.errors import StudyError
@@ -674,6 +674,8 @@ PLACES = [(text, path) for text in (EXAMPLE, TRUSS) for path in paths(plain(text
 
 
 @given(st.sampled_from(PLACES), VALUES)
+@example((TRUSS, ("structure", "bars")), "\x1f")
+@example((TRUSS, ("structure", "nodes")), "\ud800")
 @settings(max_examples=300, suppress_health_check=[HealthCheck.too_slow], deadline=None)
 def test_any_value_anywhere_loads_or_is_a_study_error(place, value):
     text, path = place

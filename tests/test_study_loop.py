@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from small_studies import analysis, edited, run_text, single
+from small_studies import HELD_KEYS, analysis, edited, run_text, section, single
 
 from fosopt.certify import certify
 from fosopt.cli.outcome import closing
@@ -21,7 +21,7 @@ from fosopt.solve import front
 from fosopt.solve.corrected import corrected
 from fosopt.solve.ipopt import Options
 from fosopt.solve.strategies import Goal, reach
-from fosopt.study import dump_study, parse_study
+from fosopt.study import TEMPLATE, dump_study, parse_study
 from fosopt.study.build import build_problem, start_vector
 from fosopt.study.describe_loop import describe_controller
 from fosopt.study.detail import detail_of
@@ -36,7 +36,6 @@ BUILT = """\
   sampling: {rate: 5 kHz, delay: 100 us}
 """
 STEP = "step: {command: 10 urad, window: [20 ms, 50 ms]}\n"
-BOUNDARY = "sweep:\n  axes: [{quantity: kp, list: [1, 2]}]\n  outputs: [stable]\n  boundary: {along: kp}\n"
 LIMITS = STEP + "limits: {stroke: 1 mrad, rate: 10 rad/s, torque: 2 kN m, engagements: 3}\n"
 
 
@@ -417,13 +416,15 @@ def test_the_controller_is_printed_in_every_form_and_as_it_runs():
         (built(("delay: 100 us", "delay: 100")), "100 s are 500000 periods, at most 100 can be"),
         (built(extra=STEP.replace("50 ms", "201 s")), "201 s are 1.01e+06 samples, at most 1000000 are followed"),
         (built(extra=LIMITS.replace("50 ms", "70 s")), "210 s are 1.05e+06 samples"),
-        (built(("kind: analysis", "kind: sweep"), extra=BOUNDARY), "found on a continuous loop"),
         (built(("delay: 100 us", "delay: 100 us, derivative: trapezoidal")), "ring at every second sample"),
         (built(("delay: 100 us", "dealy: 100 us")), "unknown key; did you mean 'delay'"),
         (built(("depth: 0.2", "depth: -0.2")), "is negative"),
         (built(("type: low_pass, corner: 4 kHz", "type: rational, numerator: [1], denominator: [1, -1]")), "decay"),
-        (built(("type: held                     #", "type: free #"), ("  bandwidth: 0.1 Hz\n", ""),
-               ("  damping_ratio: 0.7\n", "")), "free hub drifts"),
+        (built(("  anti_alias: {corner: 3 kHz, order: 2}\n", ""), ),
+         "disturbances.1: sampled loop: a 'sensor_noise' disturbance that does not roll off"),
+        (built(("type: held                     #", "type: free #"), *HELD_KEYS,
+               (section(TEMPLATE, "disturbances"), ""), extra="placement: {reaction: B2.y}\n"),
+         "placement: the control torque turns the free hub"),
         (built(extra="limits: {stroke: 1 mrad}\n"), "add 'step'"),
         (built(extra=STEP + "limits: {engagements: 3}\n"), "no limit is given"),
         (analysis(("disturbances:\n", LIMITS + "disturbances:\n")), "infinite torque"),

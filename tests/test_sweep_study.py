@@ -294,6 +294,10 @@ def test_a_contour_has_one_branch_of_boundaries_that_hold_line_by_line(tmp_path)
     )
     run = run_in(tmp_path / "run", sweep_text(text, bays=20)).run
     assert {each["branch"] for each in run["boundaries"]} == {0}
+    with (tmp_path / "run" / "boundary.csv").open(encoding="utf-8") as stream:
+        origins = [row["provenance"] for row in csv.DictReader(stream)]
+    assert origins[0].startswith(f"study {run['provenance']['study']}; ")
+    assert origins[1:] == [""] * 3
     assert len(run["boundaries"]) == 4
     for each in run["boundaries"]:
         for side in (-1e-6, 1e-6):

@@ -98,3 +98,11 @@ def test_the_error_of_a_step_is_that_of_a_simulation_stable_or_not(case):
     angle = [row @ linalg.expm(grown * t)[:n, n] for t in times]
     assert found(times) == pytest.approx(np.array(angle) - 1, abs=1e-8)
     assert found(np.zeros(1))[0] == pytest.approx(-1.0, abs=1e-12)
+
+
+def test_a_fast_oscillation_that_leaves_the_tolerance_for_an_instant_has_not_settled():
+    # Three harmonics add up to 1.2 once in a period and stay below 1.1 but for a fiftieth of it.
+    beating = transient(*((0.4, -0.05 + 200j * k) for k in (1, 2, 3)))
+    time = np.linspace(0.0, 4.0, 4_000_001)
+    last = time[np.flatnonzero(np.abs(beating(time)) > 1.1)[-1]]
+    assert beating.settling_time(1.1) == pytest.approx(last, abs=1e-6)

@@ -112,6 +112,13 @@ def test_the_stated_error_is_nothing_at_rest_and_endless_at_the_next_mode():
     assert np.all(at_rest == 0) and np.all(np.isfinite(below)) and np.all(np.isinf([at, above]))
 
 
+def test_where_the_next_eigenvalue_is_twice_the_square_half_the_residual_flexibility_may_be_missing():
+    # ω⁴/(Λ (Λ − ω²)) with ω² = Λ/2.
+    outside = both("planar, pinned", 8)[1].outside
+    error = outside.receptance_error(np.sqrt([0.5 * outside.next_eigenvalue]))[0]
+    np.testing.assert_allclose(np.diag(error), 0.5 * np.diag(outside.residual_flexibility), rtol=1e-12)
+
+
 def test_a_long_truss_keeps_its_digits():
     # The first eigenvalue is 1e-10 of the last: stiffness entries carry six digits of it, elongations nearly all.
     of = reference.structure("fixed", 800)

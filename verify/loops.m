@@ -83,9 +83,18 @@ function found = one_loop (s)
   [gain, kp, ki, kd, lag] = p{:};
   pid = gain * ss (tf ([kp * lag + kd, kp + ki * lag, ki], [lag, 1, 0]));
 
-  if (strcmp (s.hub_type, "free") == 0)
-    found.sampled = sampled_loop (ss (A, B(:, 1), plant.c(2, :), 0), s);
+  % Torques inside leave the momentum of a free body at zero: motions without any are all they move.
+  drifting = 2 * strcmp (s.hub_type, "free");
+  within = ss (A, B(:, 1), plant.c, zeros (2, 1));
+  if (drifting)
+    still = null (null (K)' * M);
+    m = columns (still);
+    masses = still' * M * still;
+    inside = [zeros(m), eye(m); -(masses \ (still' * K * still)), -(masses \ (still' * C * still))];
+    moving = [still, zeros(n + b, m)];
+    within = ss (inside, [zeros(m, 1); masses \ (still' * control)], [mirror'; sensed'] * moving, zeros (2, 1));
   endif
+  found.sampled = sampled_loop (ss (A, B(:, 1), plant.c(2, :), 0), within(2, 1), s);
 
   % u = -pid (sensed + noise) enters the first torque.
   noisy = [plant, [0; 1]];
@@ -97,7 +106,6 @@ function found = one_loop (s)
   found.responses = [mirror_by(1, :); mirror_by(2, :); 1 + mirror_by(3, :); mirror_by(3, :)];
   % The drift of a free body, two poles at zero, is no part of the norms.
   decaying = sort (real (found.poles), "descend");
-  drifting = 2 * strcmp (s.hub_type, "free");
   found.stable = decaying(drifting + 1) < 0;
   found.rms = zeros (0, 1);
   found.largest_sensitivity = zeros (0, 1);
@@ -105,14 +113,7 @@ function found = one_loop (s)
     return;
   endif
   if (drifting)
-    % Torques inside leave the momentum of the free body at zero: motions without any are all there are.
-    still = null (null (K)' * M);
-    m = columns (still);
-    masses = still' * M * still;
-    A = [zeros(m), eye(m); -(masses \ (still' * K * still)), -(masses \ (still' * C * still))];
-    B = [zeros(m, 1); masses \ (still' * control)];
-    moving = [still, zeros(n + b, m)];
-    plant = ss (A, B, [mirror'; sensed'] * moving, zeros (2, 1));
+    plant = within;
     closed = feedback ([plant, [0; 1]], pid, 1, 2, -1);
     closed = [closed(1, 1), closed(1, 1), closed(1, 1), closed(1, 2)];
   endif
@@ -130,7 +131,7 @@ function found = one_loop (s)
   end_try_catch
 endfunction
 
-function found = sampled_loop (plant, s)
+function delayed = on_hold (plant, s)
   % Zero-order hold whose torque changes a computation delay after the sample: two holds to a period.
   period = s.period;
   late = rem (s.delay, period);
@@ -140,6 +141,12 @@ function found = sampled_loop (plant, s)
   z = tf ("z", period);
   held = ss (second.a * first.a, [second.a * first.b, second.b], plant.c, [0, 0], period);
   delayed = held * [1 / z^(whole + 1); 1 / z^whole];
+endfunction
+
+function found = sampled_loop (plant, within, s)
+  % Poles of the plant that drifts, the norm of what moves within it.
+  period = s.period;
+  z = tf ("z", period);
   p = num2cell (s.pid);
   [gain, kp, ki, kd, lag] = p{:};
   if (s.backward)
@@ -147,11 +154,13 @@ function found = sampled_loop (plant, s)
   else
     pid = c2d (gain * ss (tf ([kp * lag + kd, kp + ki * lag, ki], [lag, 1, 0])), period, "tustin");
   endif
+  delayed = on_hold (plant, s);
   closed = feedback (delayed * pid, 1);
   found.poles = eig (closed.a);
   found.loop = squeeze (freqresp (delayed * pid, s.sampled_frequency(:)'));
   found.largest_sensitivity = NaN;
-  if (max (abs (found.poles)) < 1)
+  delayed = on_hold (within, s);
+  if (max (abs (eig (feedback (delayed * pid, 1).a))) < 1)
     try
       found.largest_sensitivity = norm (feedback (1, delayed * pid), Inf, 1e-10);
     catch

@@ -181,7 +181,7 @@ def random_system(number: int) -> RandomSystem:
     """A system that follows from its number alone."""
     rng = np.random.default_rng([1991, number])
     spatial = number % 3 == 2
-    truss = _mast(rng) if spatial else _barker(rng)
+    truss = random_mast(rng) if spatial else _barker(rng)
     structure = assemble(truss, "tip")
     inertia = float(structure_inertia(structure, structure.area, structure.batten_mass))
     hub = (
@@ -252,7 +252,7 @@ def _barker(rng: np.random.Generator) -> Truss:
     return replace(truss, bars=bars, ports=truss.ports | {MIDDLE: (middle, "rz")})
 
 
-def _mast(rng: np.random.Generator) -> Truss:
+def random_mast(rng: np.random.Generator) -> Truss:
     """A mast of rigid square frames and pin-ended bars, clamped, with no symmetry left."""
     bays = int(rng.integers(2, 5))
     nodes, battens, bars = {}, [], []

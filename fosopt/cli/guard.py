@@ -26,7 +26,8 @@ _SHOW_CURSOR = "\r\x1b[K\x1b[?25h"
 Stop = Callable[[], bool]
 EXIT_CODES = """\b
 Exit codes:
-  0    finished; at least one point is verified and none failed
+  0    finished; at least one point is verified, none failed, and one that is
+       verified meets all requirements
   1    a defect of fosopt; FOSOPT_DEBUG=1 shows the traceback
   2    wrong usage
   3    the study file, a file it names, the record or the directory is at
@@ -35,6 +36,8 @@ Exit codes:
        verified), or no point is verified
   5    stopped by the machine (disk full, scheduler or workers lost); what
        was finished is on disk, and 'fosopt resume' continues
+  6    finished, but no verified point meets all that the study requires: its
+       constraints, requirements and requirement line
   130  interrupted; what was found so far is on disk, and 'fosopt resume'
        continues
 """
@@ -48,6 +51,7 @@ class Code(IntEnum):
     REFUSED = 3
     UNVERIFIED = 4
     STOPPED = 5
+    UNMET = 6
     INTERRUPTED = 130
 
 

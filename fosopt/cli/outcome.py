@@ -36,13 +36,22 @@ def exit_code(run: _Run, *, stopped: bool) -> Code:
     if stopped:
         return Code.INTERRUPTED
     counts = _counts(run["points"])
-    good = counts["verified"] and not counts["failed"] and not counts["interrupted"]
-    return Code.DONE if good else Code.UNVERIFIED
+    if not counts["verified"] or counts["failed"] or counts["interrupted"]:
+        return Code.UNVERIFIED
+    return Code.DONE if any(not misses for misses in _misses(run).values()) else Code.UNMET
+
+
+def _misses(run: _Run) -> dict[str, list[str]]:
+    """What each verified point misses of what the study requires, in words, by the key of the point."""
+    from fosopt.study.requirement import unmet
+
+    return {point["key"]: list(unmet(run, point)) for point in run["points"] if is_answer(point)}
 
 
 def summary(run: _Run, out: Path, code: Code, seconds: float) -> dict[str, Any]:
     """The outcome for a program to read; objectives are SI."""
     points = run["points"]
+    misses = _misses(run)
     kept = ("key", "label", "case", "strategy", "status", "verified", "dominated", "reason")
     return {
         "name": run["name"],
@@ -56,6 +65,7 @@ def summary(run: _Run, out: Path, code: Code, seconds: float) -> dict[str, Any]:
         "objectives": run["objectives"],
         "points": [
             {name: point[name] for name in kept}
+            | {"misses": misses.get(point["key"])}
             | {"values": {name: point["metrics"].get(name) for name in run["objectives"]}}
             for point in points
         ],
@@ -78,6 +88,7 @@ def closing(run: _Run, out: Path, seconds: float) -> Iterator[str]:
     told = [each for each in points if each["reason"] and not (each["verified"] and each["key"] == _START)]
     for point in told[:_MOST_ROWS]:
         yield f"{point['key']} {point['status']}: {point['reason']}"
+    yield from _judged(run)
     counts = _counts(points)
     yield ", ".join(f"{number} {what}" for what, number in counts.items() if number or what == "verified") + (
         f" in {seconds:.1f} s"
@@ -87,6 +98,27 @@ def closing(run: _Run, out: Path, seconds: float) -> Iterator[str]:
         yield f"modes: {modes}; peak memory {_peak_gibibytes():.2f} GiB"
         yield from _truncation(points)
     yield f"open {out / REPORT} in a browser; numbers are in {out / TABLE} and {out / DATA}"
+
+
+def _judged(run: _Run) -> Iterator[str]:
+    """Whether what the study requires is met, where it requires anything that an optimization does not hold."""
+    from fosopt.study.requirement import line_said
+
+    misses = _misses(run)
+    met = sum(not each for each in misses.values())
+    if not misses or (met == len(misses) and not run["requirements"] and not run.get("requirement_line")):
+        return
+    if len(misses) > 1:
+        yield f"{met} of {len(misses)} verified points meet all requirements"
+        return
+    ((key, missed),) = misses.items()
+    for text in missed:
+        yield f"{key} misses {text}"
+    line = next(point.get("requirement_line") for point in run["points"] if point["key"] == key)
+    if line and line["met"]:
+        yield f"{key} keeps below the requirement line, closest with {line_said(run, line)}"
+    if met:
+        yield f"{key} meets all requirements"
 
 
 def _truncation(points: Sequence[Mapping[str, Any]]) -> Iterator[str]:

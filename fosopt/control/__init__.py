@@ -1,6 +1,7 @@
 """The line-of-sight controller, the loop it closes, and the poles of that loop."""
 
 from fosopt.actuators import Placement
+from fosopt.control.axes import about_other_axis, multivariable_distance, structure_receptances
 from fosopt.control.filters import (
     Filter,
     lead_lag_filter,
@@ -12,12 +13,14 @@ from fosopt.control.filters import (
 from fosopt.control.loop import (
     COMMANDED,
     NUMERATORS,
+    OTHER_AXIS,
     Loop,
     Receptances,
     characteristic,
     closed_loop_response,
     coupling,
     loop_transfer,
+    numerator_of,
     plant_impedance,
     port_pairs,
     with_attachments,
@@ -34,18 +37,23 @@ from fosopt.control.pid import (
 )
 from fosopt.control.poles import ClosedLoopPoles, closed_loop_poles
 from fosopt.control.state_space import (
+    OTHER,
     StateSpace,
     closed_loop_state_space,
+    loop_matrices,
     modal_matrices,
     plant_state_space,
     second_order_state_space,
     structure_state_space,
 )
+from fosopt.control.steered import SteeredAxis
 
 __all__ = [
     "COMMANDED",
     "DIRECT",
     "NUMERATORS",
+    "OTHER",
+    "OTHER_AXIS",
     "PID",
     "ClosedLoopPoles",
     "Filter",
@@ -56,6 +64,8 @@ __all__ = [
     "Sampling",
     "SignalPath",
     "StateSpace",
+    "SteeredAxis",
+    "about_other_axis",
     "characteristic",
     "closed_loop_poles",
     "closed_loop_response",
@@ -64,10 +74,13 @@ __all__ = [
     "coupling",
     "gain_for_crossover",
     "lead_lag_filter",
+    "loop_matrices",
     "loop_transfer",
     "low_pass_filter",
     "modal_matrices",
+    "multivariable_distance",
     "notch_filter",
+    "numerator_of",
     "open_loop_poles",
     "pade_delay",
     "pade_error",
@@ -76,6 +89,7 @@ __all__ = [
     "plant_state_space",
     "port_pairs",
     "second_order_state_space",
+    "structure_receptances",
     "structure_state_space",
     "with_attachments",
 ]

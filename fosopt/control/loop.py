@@ -22,46 +22,84 @@ from typing import Any
 
 from fosopt.actuators import BICOLLOCATED, Mirror, Placement, ReactionMassActuator, Suspended
 from fosopt.control.pid import PID, command_response, pid_response
+from fosopt.control.steered import SteeredAxis
+from fosopt.errors import ModelError
 
 _REFERENCE, _HUB = 0, 1
 
 
 @dataclass(frozen=True)
 class Loop:
-    """A mirror, its controller, where they act, and the reaction-mass actuators beside them."""
+    """A mirror, its controller, where they act, the reaction-mass actuators and the other axis beside them.
+
+    Attributes
+    ----------
+    beside
+        The mirror's other axis, whose loop is closed as well. Whatever is said of this loop holds with that one closed.
+    hub
+        Port of the hub about this axis.
+
+    Raises
+    ------
+    ModelError
+        If there is another axis beside a loop that is not bicollocated, is sampled or has a reaction mass.
+    """
 
     mirror: Mirror
     controller: PID
     placement: Placement = BICOLLOCATED
     actuators: tuple[ReactionMassActuator, ...] = ()
+    beside: SteeredAxis | None = None
+    hub: str = "hub"
+
+    def __post_init__(self) -> None:
+        if self.beside is None:
+            return
+        mirrors, controllers = (self.mirror, self.beside.mirror), (self.controller, self.beside.controller)
+        refused = "two axes: {} not known of a mirror with two; study one axis, or both without it"
+        if self.placement != BICOLLOCATED:
+            raise ModelError(refused.format("sensor, action or reaction elsewhere than at the mirror are"))
+        if any(mirror.reaction_mass is not None for mirror in mirrors):
+            raise ModelError(refused.format("reaction masses are"))
+        if any(controller.path.sampling is not None for controller in controllers):
+            raise ModelError(refused.format("controllers that sample are"))
 
     @cached_property
     def other_ports(self) -> tuple[str, ...]:
         """Ports beside the mirror's own and the hub."""
-        place = self.placement
-        named = (place.reaction, place.sensor, place.action, *(a.port for a in self.actuators))
-        return tuple(dict.fromkeys(p for p in named if p not in (None, "hub")))
+        place, beside = self.placement, self.beside
+        named = [place.reaction, place.sensor, place.action, *(a.port for a in self.actuators)]
+        if beside is not None:
+            named += [beside.port, beside.hub]
+        return tuple(dict.fromkeys(p for p in named if p is not None and p != self.hub))
 
     def ports(self, mirror_port: str) -> tuple[str, ...]:
         """Ports in the order in which `Receptances` counts them: the mirror's, the hub, the others."""
-        return (mirror_port, "hub", *self.other_ports)
+        return (mirror_port, self.hub, *self.other_ports)
 
     def index(self, port: str | None) -> int:
         """Place of a port in that order; None is the mirror's."""
         if port is None:
             return _REFERENCE
-        return _HUB if port == "hub" else 2 + self.other_ports.index(port)
+        return _HUB if port == self.hub else 2 + self.other_ports.index(port)
 
     @cached_property
     def pairs(self) -> tuple[tuple[int, int], ...]:
         """Pairs of ports whose receptances the formulas use."""
         place = self.placement
-        simple = not self.other_ports and "hub" not in (place.sensor, place.action)
+        simple = not self.other_ports and self.hub not in (place.sensor, place.action)
         return ((0, 0), (0, 1)) if simple else port_pairs(2 + len(self.other_ports))
 
     @property
-    def attachments(self) -> Iterator[tuple[int, Suspended]]:
+    def attachments(self) -> Iterator[tuple[int, Suspended | SteeredAxis]]:
         """What hangs on the structure beside the mirror, with the index of its port."""
+        yield from self.suspended
+        if self.beside is not None:
+            yield self.index(self.beside.port), self.beside
+
+    @property
+    def suspended(self) -> Iterator[tuple[int, Suspended]]:
+        """What of it has no loop of its own."""
         if self.mirror.counter is not None:
             yield _REFERENCE, self.mirror.counter
         for actuator in self.actuators:
@@ -70,7 +108,7 @@ class Loop:
     @property
     def bare(self) -> bool:
         """Whether nothing but the mirror is attached to the structure."""
-        return self.mirror.reaction_mass is None and not self.actuators
+        return self.mirror.reaction_mass is None and not self.actuators and self.beside is None
 
     @property
     def plain(self) -> bool:
@@ -145,7 +183,11 @@ def with_attachments(loop: Loop, s: Any, g: Receptances) -> Receptances:
 
 
 def attach(
-    s: Any, g: Receptances, port: int, body: Suspended, wanted: Collection[tuple[int, int]]
+    s: Any,
+    g: Receptances,
+    port: int,
+    body: Suspended | SteeredAxis,
+    wanted: Collection[tuple[int, int]],
 ) -> Receptances:
     """Receptances with a body of dynamic stiffness D at port a: the rank-one update g_pq − g_pa g_aq D/(1 + D g_aa).
 
@@ -156,11 +198,11 @@ def attach(
     wanted
         Pairs that are asked for, with all that their updates need; the others stay as they are.
     """
-    kappa = body.coupling(s)
+    kappa, restoring = body.coupling(s), body.restoring(s)
     inertial = body.inertia * s**2
-    # D and 1 + D g_aa times J s² + κ, which is zero at the body's own resonance.
-    stiffness, free = inertial * kappa, inertial + kappa
-    held = impedance(s, body.inertia, kappa, g.between(port, port))
+    # D and 1 + D g_aa times J s² + κ (+ K of a loop), which is zero at the body's own resonance.
+    stiffness, free = inertial * kappa, inertial + restoring
+    held = inertial * (1 + kappa * g.between(port, port)) + restoring
     values = []
     for p, q in g.pairs:
         known = g.between(p, q)
@@ -309,6 +351,38 @@ def hub_torque_numerator(loop: Loop, s: Any, g: Receptances) -> Any:
     return numerator + unsensed * pid_response(loop.controller, s)
 
 
+def _other(loop: Loop) -> SteeredAxis:
+    if loop.beside is None:
+        raise ModelError("this input acts about a second axis, which the mirror has not")
+    return loop.beside
+
+
+def _pushed(loop: Loop, s: Any, g: Receptances) -> Any:
+    """Mirror angle per load at the other axis' port times Δ, over the J s² + κ + K that its receptance holds."""
+    other = _other(loop)
+    received = coupling(loop, s) * g.between(_REFERENCE, loop.index(other.port))
+    return received / (other.inertia * s**2 + other.restoring(s))
+
+
+def other_noise_numerator(loop: Loop, s: Any, g: Receptances) -> Any:
+    """Mirror angle per measurement noise, or line-of-sight displacement, about the other axis times Δ.
+
+    The noise n turns the other axis, which pushes the structure with J s² K/(J s² + κ + K) n.
+    """
+    other = _other(loop)
+    return other.inertia * s**2 * pid_response(other.controller, s) * _pushed(loop, s, g)
+
+
+def other_mirror_torque_numerator(loop: Loop, s: Any, g: Receptances) -> Any:
+    """Mirror angle per torque t on the mirror about the other axis times Δ; (κ + K)/(J s² + κ + K) t load its port."""
+    return _other(loop).restoring(s) * _pushed(loop, s, g)
+
+
+def other_hub_torque_numerator(loop: Loop, s: Any, g: Receptances) -> Any:
+    """Mirror angle per torque on the hub about the other axis times Δ, κ g."""
+    return coupling(loop, s) * g.between(_REFERENCE, loop.index(_other(loop).hub or loop.hub))
+
+
 Formula = Callable[[Loop, Any, Receptances], Any]
 
 # Numerators over the common denominator Δ(s). The first four say where a disturbance enters the loop and how
@@ -321,6 +395,13 @@ NUMERATORS: dict[str, Formula] = {
     "command": command_numerator,
 }
 
+# The same for disturbances about the mirror's other axis.
+OTHER_AXIS: dict[str, Formula] = {
+    "other_mirror_torque": other_mirror_torque_numerator,
+    "other_hub_torque": other_hub_torque_numerator,
+    "other_line_of_sight": other_noise_numerator,
+    "other_sensor_noise": other_noise_numerator,
+}
 
 # Numerators of what the mirror does when it is commanded.
 COMMANDED: dict[str, Formula] = {
@@ -331,5 +412,10 @@ COMMANDED: dict[str, Formula] = {
 
 
 def closed_loop_response(name: str, loop: Loop, s: Any, g: Receptances) -> Any:
-    """Closed-loop transfer function from an input to the line of sight, by its name in `NUMERATORS`."""
-    return NUMERATORS[name](loop, s, g) / characteristic(loop, s, g)
+    """Closed-loop transfer function from an input to the line of sight, by its name in `NUMERATORS` or `OTHER_AXIS`."""
+    return numerator_of(name)(loop, s, g) / characteristic(loop, s, g)
+
+
+def numerator_of(name: str) -> Formula:
+    """The numerator of a closed-loop transfer function over Δ(s), by its name in `NUMERATORS` or `OTHER_AXIS`."""
+    return NUMERATORS[name] if name in NUMERATORS else OTHER_AXIS[name]

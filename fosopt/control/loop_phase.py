@@ -25,6 +25,7 @@ def loop_transfer_roots(loop: Loop, modes: ModalSet, mirror_port: str) -> tuple[
 
     The plant's zeros are the poles of the structure without its mirror where loop and mirror share a port. A free rigid
     body's double pole, which an internal torque cannot move, stands in neither.    [Barker1991] Eqs. (4.18)-(4.22)
+    The other axis of a mirror with two is part of the plant, its loop closed.
 
     Returns
     -------
@@ -36,13 +37,23 @@ def loop_transfer_roots(loop: Loop, modes: ModalSet, mirror_port: str) -> tuple[
     SolverError
         If a root cannot be found.
     """
-    zeros = modal_poles(modes) if loop.plain else plant_zeros(modal_matrices(loop, modes, mirror_port))
+    zeros = _plant_zeros(loop, modes, mirror_port)
     still = replace(loop, controller=PID(0.0, 0.0, 0.0, 0.0))
     poles = closed_loop_poles(still, modes, mirror_port).all
     own_zeros, own_poles = _controller_roots(loop.controller)
-    drift = 2 * int(np.any(modes.stiffness == 0))
+    # Poles of a loop are told without the free rigid body's, zeros of a plant with them.
+    drift = 2 * int(np.any(modes.stiffness == 0)) if loop.beside is None else 0
     zeros = zeros[np.argsort(np.abs(zeros), kind="stable")][drift:]
     return np.concatenate([zeros, own_zeros]), np.concatenate([poles, own_poles])
+
+
+def _plant_zeros(loop: Loop, modes: ModalSet, mirror_port: str) -> ComplexArray:
+    """Zeros of what a controller sees; beside another axis, the poles of the structure with that loop closed."""
+    other = loop.beside
+    if other is not None:
+        alone = Loop(other.mirror, other.controller, actuators=loop.actuators, hub=other.hub or loop.hub)
+        return closed_loop_poles(alone, modes, other.port).all
+    return modal_poles(modes) if loop.plain else plant_zeros(modal_matrices(loop, modes, mirror_port))
 
 
 def _controller_roots(pid: PID) -> tuple[ComplexArray, ComplexArray]:

@@ -53,7 +53,8 @@ _CONTROLLER = ("gain", "kp", "ki", "kd", "rolloff_time")
 def loops_together(loops: Sequence[Loop]) -> Loop | None:
     """Loops as one with (l, 1) arrays in place of numbers; None where their forms differ."""
     first = loops[0]
-    if any(_form(loop) != _form(first) or loop.controller.path.sections for loop in loops):
+    alone = any(loop.beside is not None or loop.controller.path.sections for loop in loops)
+    if alone or any(_form(loop) != _form(first) for loop in loops):
         return None
 
     def column(values: list[float]) -> Array:

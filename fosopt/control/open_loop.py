@@ -13,12 +13,16 @@ from numpy.typing import NDArray
 from scipy import linalg
 
 from fosopt.actuators import Suspended
+from fosopt.control.free_body import refuse_turning
 from fosopt.control.loop import Loop, Receptances, attach
+from fosopt.control.steered import SteeredAxis
 from fosopt.modes import ModalSet
 from fosopt.ops import Array, ComplexArray, Dual
 from fosopt.plant import attached
 
 _SAME = 1e-13
+# A mode whose motion at a port is this small beside the largest one there stands still, about both axes of a mirror.
+_NODE = 1e-9
 # Points times modes that are worked on at once: more of them leave the cache.
 BLOCK = 2**15
 
@@ -52,7 +56,7 @@ class OpenLoopPoles:
     seen: NDArray[np.bool_]
     uncoupled: ComplexArray
     drifting: bool
-    hung: tuple[tuple[int, Suspended], ...] = ()
+    hung: tuple[tuple[int, Suspended | SteeredAxis], ...] = ()
 
     def factors(
         self, base: ComplexArray, shift: ComplexArray, without: NDArray[np.intp] | None = None
@@ -140,8 +144,17 @@ class OpenLoopPoles:
 
 
 def open_loop_poles(loop: Loop, modes: ModalSet, mirror_port: str) -> OpenLoopPoles:
-    """Open-loop poles of a modal set and what is attached to it, split by whether the loop can move them."""
+    """Open-loop poles of a modal set and what is attached to it, split by whether the loop can move them.
+
+    Raises
+    ------
+    ModelError
+        If the control torque turns a free rigid body.
+    """
+    refuse_turning(loop, modes, mirror_port)
     shapes = np.array([modes.at(port) for port in loop.ports(mirror_port)]).T
+    if loop.beside is not None:
+        return _of_both_axes(loop, modes, shapes)
     if not loop.bare:
         return _with_attachments(loop, modes, mirror_port, shapes)
     if loop.plain and loop.mirror.stiffness == 0:
@@ -163,6 +176,27 @@ def open_loop_poles(loop: Loop, modes: ModalSet, mirror_port: str) -> OpenLoopPo
     )
 
 
+def _of_both_axes(loop: Loop, modes: ModalSet, shapes: Array) -> OpenLoopPoles:
+    """Poles of the structure alone; what is attached to it, the other axis included, hangs on it."""
+    ports = shapes[:, sorted({0, *(port for port, _ in loop.attachments)})]
+    seen = np.any(np.abs(ports) > _NODE * np.abs(ports).max(axis=0), axis=1)
+    half = 0.5 * modes.damping
+    root = np.sqrt((half**2 - modes.stiffness).astype(complex))
+    first, second = -half + root, -half - root
+    constant = np.column_stack([shapes[:, a] * shapes[:, b] for a, b in loop.pairs])
+    hidden = ~seen & (modes.stiffness > 0)
+    return OpenLoopPoles(
+        first[seen],
+        second[seen],
+        constant[seen],
+        None,
+        seen,
+        np.concatenate([first[hidden], second[hidden]]),
+        bool(np.any(modes.stiffness == 0)),
+        tuple(loop.attachments),
+    )
+
+
 def moving_pairs(loop: Loop, hub: bool = False) -> list[int]:
     """Places in `Loop.pairs` of those through which the loop can move a mode, on which Δ depends.
 
@@ -172,11 +206,13 @@ def moving_pairs(loop: Loop, hub: bool = False) -> list[int]:
         Whether those are wanted too through which a torque on the hub reaches the line of sight.
     """
     place = loop.placement
-    in_loop = {0, *(loop.index(p) for p in (place.reaction, place.sensor, place.action) if p is not None)}
+    beside = None if loop.beside is None else loop.beside.port
+    named = (place.reaction, place.sensor, place.action, beside)
+    in_loop = {0, *(loop.index(p) for p in named if p is not None)}
     if hub:
         in_loop.add(1)
     # A sensor on the mirror sees a mode through the mirror's port alone.
-    rows = {0} if place.sensor is None else in_loop
+    rows = {0} if place.sensor is None and beside is None else in_loop
     return [k for k, (a, b) in enumerate(loop.pairs) if {a, b} <= in_loop and rows & {a, b}]
 
 
@@ -214,7 +250,7 @@ def _with_attachments(loop: Loop, modes: ModalSet, mirror_port: str, shapes: Arr
     seen = modes.keep(np.flatnonzero(~deaf))
     n = seen.natural_frequency.size
     structure = (np.eye(n), np.diag(seen.damping), np.diag(seen.stiffness))
-    bodies = [(shapes[~deaf, k], body) for k, body in loop.attachments]
+    bodies = [(shapes[~deaf, k], body) for k, body in loop.suspended]
     mass, damping, stiffness, _ = attached(structure, bodies)
     inertia, size = np.diag(mass), mass.shape[0]
     # States of like size: displacements times a frequency.

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from scipy import linalg
 
 from fosopt.actuators import Suspended
+from fosopt.control.axes import determinant
 from fosopt.control.loop import Loop, Receptances, attach, characteristic, impedance, plant_impedance
 from fosopt.control.open_loop import BLOCK, OpenLoopPoles, moving_pairs, open_loop_poles
 from fosopt.control.pid import pid_response
@@ -30,6 +31,8 @@ _MAX_ITERATIONS = 60
 _CONVERGED = 1e-9  # relative step of a shift; convergence is at least quadratic, so it leaves nothing
 _ROUNDING = 1e-11  # relative step of a pole below which it may be rounding
 _TRACE = 1e-8
+# What eigenvalues of a state matrix may be off by, of the largest, and how often they are mended where two axes couple.
+_NEAR, _POLISHED = 1e-9, 3
 
 
 @dataclass(frozen=True)
@@ -105,6 +108,8 @@ def closed_loop_poles(
         If neither Aberth's method nor the dense eigenvalue solver gives a complete set of poles.
     """
     open_loop = open_loop_poles(loop, modes, mirror_port)
+    if loop.beside is not None:
+        return _of_both_axes(loop, modes, mirror_port, open_loop)
     if near is not None and np.array_equal(near.open_loop.first, open_loop.first):
         followed = _aberth(loop, open_loop, near.base, near.shift, near.multiplicity)
         if followed is not None and complete(loop, followed):
@@ -268,19 +273,21 @@ def aberth_step(
     repulsion
         Σ 1/(s − p) over all other poles p.
     """
-    pid, at = loop.controller, Dual(s, 1.0)
-    wanted = [loop.pairs[k] for k in moving_pairs(loop)] if hung else []
+    at = Dual(s, 1.0)
+    wanted = [loop.pairs[k] for k in moving_pairs(loop)] if loop.beside is None and hung else loop.pairs
     for port, body in hung:
         own = impedance(at, body.inertia, body.coupling(at), g.between(port, port))
         known = known + own.slope / own.value
         g = attach(at, g, port, body, wanted)
-    delta = characteristic(loop, at, g)
-    if _present(pid.ki):
-        known = known + 1 / s
-    if _present(pid.lag) and _present(pid.kd):
-        known = known + pid.lag / (1 + pid.lag * s)
-    for section in pid.path.sections:
-        known = known + (1 / (s[..., None] - section.poles)).sum(axis=-1)
+    beside = loop.beside
+    delta = characteristic(loop, at, g) if beside is None else determinant(loop, at, g)
+    for pid in (loop.controller,) if beside is None else (loop.controller, beside.controller):
+        if _present(pid.ki):
+            known = known + 1 / s
+        if _present(pid.lag) and _present(pid.kd):
+            known = known + pid.lag / (1 + pid.lag * s)
+        for section in pid.path.sections:
+            known = known + (1 / (s[..., None] - section.poles)).sum(axis=-1)
     # Multiplied through by Δ, so that a shift that is already exact gives a step of zero.
     return delta.value / (delta.slope + delta.value * (known - repulsion))
 
@@ -336,6 +343,7 @@ def _plant_trace(loop: Loop, open_loop: OpenLoopPoles) -> Any:
     total = -(open_loop.first + open_loop.second).real.sum()
     total = total + loop.mirror.damping * (free.direct + 1 / loop.mirror.inertia)
     for port, body in open_loop.hung:
+        assert isinstance(body, Suspended)
         total = total + body.damping * (free.between(port, port) + 1 / body.inertia)
     return total
 
@@ -370,6 +378,31 @@ def _dense(loop: Loop, modes: ModalSet, mirror_port: str, open_loop: OpenLoopPol
     if polished is not None and complete(loop, polished):
         return polished
     return ClosedLoopPoles(base, shift, multiplicity, open_loop)
+
+
+def _of_both_axes(loop: Loop, modes: ModalSet, mirror_port: str, open_loop: OpenLoopPoles) -> ClosedLoopPoles:
+    """Poles of two loops on one structure: eigenvalues of the state matrix, polished on the determinant.
+
+    Alike axes have double poles, where Aberth's method from afar would creep; a step from an eigenvalue that is good
+    already is taken only as far as such an eigenvalue may err.
+    """
+    seen = modes.keep(np.flatnonzero(open_loop.seen))
+    eigenvalue = linalg.eigvals(closed_loop_state_space(loop, seen, mirror_port).a)
+    if open_loop.drifting:
+        eigenvalue = eigenvalue[np.argsort(np.abs(eigenvalue))[2:]]
+    value = eigenvalue[eigenvalue.imag >= 0]
+    pair = value.imag > 0
+    reach = _NEAR * np.abs(value).max()
+    for _ in range(_POLISHED):
+        shift = np.zeros_like(value)
+        with np.errstate(all="ignore"):
+            pairs, known = open_loop.sums(value, shift)
+            repulsion = _repulsion(value, shift, pair, np.arange(value.size))
+            step = aberth_step(loop, value, _of(pairs), known, repulsion, tuple(loop.suspended))
+        step = np.where(pair, step, step.real)
+        good = np.isfinite(step) & (np.abs(step) <= reach)
+        value = value - np.where(good, step, 0.0)
+    return ClosedLoopPoles(value, np.zeros_like(value), np.where(pair, 2, 1), open_loop)
 
 
 def pole_condition(loop: Loop, s: ComplexArray, g: Receptances) -> Array:

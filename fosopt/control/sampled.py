@@ -1,14 +1,10 @@
 """The loop as built: a continuous plant under a controller that samples, computes for a while and holds.
 
 Between two changes of the held torque everything is linear with constant input, so that states, energies and
-covariances follow exactly from one sample to the next. Φ = e^{At} and the energy R = ∫ e^{Aᵀs} cᵀc e^{As} ds of a
-span t come from those of a tiny span, a short power series, by doubling it,
+covariances follow exactly from one sample to the next, see `control.spans`.    [Chen1995] Ch. 10-12
 
-    Φ(2t) = Φ(t)²,    R(2t) = R(t) + Φ(t)ᵀ R(t) Φ(t).
-
-An energy is kept as a factor F with R = FᵀF, so that a sum of energies is a stack of factors: what a loop attenuates by
-10⁵ in amplitude would lose ten digits in R and loses five in F. No eigenvectors are needed: repeated poles and a hub's
-slow ones do no harm.    [VanLoan1978], [Chen1995] Ch. 10-12
+A free hub drifts, which no torque from within can change: the loop is that of what moves within, and what pushes the
+hub from outside shakes that and turns the line of sight with the whole, by the second integral of the disturbance.
 """
 
 from __future__ import annotations
@@ -16,121 +12,24 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import NamedTuple
 
 import numpy as np
 from scipy import linalg
 
 from fosopt.control.discrete import DiscreteController, discrete_controller
-from fosopt.control.filter_states import FilterStates, filter_state_space
+from fosopt.control.filter_states import FilterStates, filter_state_space, rational_states
+from fosopt.control.free_body import split
 from fosopt.control.loop import Loop
 from fosopt.control.pid import Sampling
+from fosopt.control.spans import Span, span, stacked
 from fosopt.control.state_space import StateSpace, plant_state_space
-from fosopt.errors import ModelError, SolverError
+from fosopt.errors import ModelError
 from fosopt.modes import ModalSet
 from fosopt.ops import Array, ComplexArray
 
-# The span a power series covers: norm of A times it, terms and quadrature nodes that leave less than rounding.
-_SHORT = 0.25
-_TERMS = 14
-_NODES = 6
 # A computation delay this close to whole periods, as a share of one, is taken as whole.
 _WHOLE = 1e-9
-_DOUBLINGS = 60
-_NOTHING = 1e-15  # of an amplitude; the square of it of an energy
-
-
-class Span(NamedTuple):
-    """What a span of time t does to states x of ẋ = A x, y = C x.
-
-    Attributes
-    ----------
-    carried
-        (n, n) Φ = e^{At}.
-    energy
-        (r, n) F with FᵀF = R(t) = ∫_0^t e^{Aᵀs} CᵀC e^{As} ds.
-    grown
-        (r, n) the same of ∫_0^t R(s) ds, empty unless asked for.
-    """
-
-    carried: Array
-    energy: Array
-    grown: Array
-
-
-def span(a: Array, rows: Array, time: float, grown: bool = False) -> Span:
-    """Φ and the energy of outputs over a span of time, as factors.    [VanLoan1978]
-
-    Parameters
-    ----------
-    a, rows
-        (n, n) A and (p, n) C.
-    time
-        t, zero or more [s].
-    grown
-        Whether the integral of the energy is asked for.
-    """
-    n = a.shape[0]
-    if time == 0:
-        return Span(np.eye(n), np.zeros((0, n)), np.zeros((0, n)))
-    short = float(np.linalg.norm(a, 1)) * time / _SHORT
-    doublings = int(np.ceil(np.log2(max(short, 1.0))))
-    step = time / 2**doublings
-    carried, power = np.eye(n), np.eye(n)
-    for k in range(1, _TERMS):
-        power = step / k * (power @ a)
-        carried = carried + power
-    x, w = np.polynomial.legendre.leggauss(_NODES)
-    at, weight = 0.5 * (x + 1), 0.5 * step * w
-    term, nodes = rows, np.tile(rows, (_NODES, 1, 1))
-    for k in range(1, _TERMS if rows.shape[0] else 0):
-        term = step / k * (term @ a)
-        nodes = nodes + at[:, None, None] ** k * term
-    energy = _stacked(*(np.sqrt(weight)[:, None, None] * nodes))
-    inner = np.zeros((0, n))
-    if grown:
-        inner = _stacked(*(np.sqrt(weight * step * (1 - at))[:, None, None] * nodes))
-    for _ in range(doublings):
-        if grown:
-            inner = _stacked(inner, np.sqrt(step) * energy, inner @ carried)
-        energy = _stacked(energy, energy @ carried)
-        carried = carried @ carried
-        step *= 2
-    return Span(carried, energy, inner)
-
-
-def _stacked(*factors: Array) -> Array:
-    """A factor of a sum of energies, with no more rows than columns."""
-    whole = np.vstack(factors)
-    if whole.shape[0] <= whole.shape[1]:
-        return whole
-    triangle: Array = linalg.qr(whole, mode="r", check_finite=False)[0][: whole.shape[1]]
-    return triangle
-
-
-def energy_for_ever(transition: Array, energy: Array) -> Array:
-    """(r, n) F with FᵀF = Y = Mᵀ Y M + E, the energy that a state at a sample leaves for ever, by doubling its terms.
-
-    [Smith1968]
-
-    Parameters
-    ----------
-    transition, energy
-        (n, n) M and (p, n) a factor of E.
-
-    Raises
-    ------
-    SolverError
-        If the sum does not end.
-    """
-    total, step = energy, transition
-    for _ in range(_DOUBLINGS):
-        added = total @ step
-        if np.linalg.norm(added) <= _NOTHING * np.linalg.norm(total):
-            return total
-        total = _stacked(total, added)
-        step = step @ step
-    raise SolverError("sampled loop: its energy does not end; it is on the verge of instability")
+_INTEGRATOR = FilterStates(np.zeros((1, 1)), np.ones(1), np.ones(1), 0.0)
 
 
 @dataclass(frozen=True)
@@ -143,10 +42,41 @@ class Source:
         One of ``mirror_torque``, ``hub_torque``, ``line_of_sight``, ``sensor_noise``.
     states
         Of its shaping filter.
+    integrals
+        (n,) rows that read the integral and the second integral of the noise from these states, of a filter that
+        differentiates once or twice; fewer of another.
     """
 
     at: str
     states: FilterStates
+    integrals: tuple[Array, ...] = ()
+
+    @classmethod
+    def shaped(cls, at: str, numerator: Sequence[float], denominator: Sequence[float]) -> Source:
+        """White noise through a rational filter, coefficients highest power first."""
+        rows = []
+        for lower in (list(numerator[:-1]), list(numerator[:-2])):
+            if any(numerator[len(lower) :]):
+                break
+            rows.append(rational_states(lower, denominator).c)
+        return cls(at, rational_states(numerator, denominator), tuple(rows))
+
+    def washed(self, numerator: Sequence[float], denominator: Sequence[float]) -> Source:
+        """The same through one more rational filter, which differentiates at least twice."""
+        after = Source.shaped(self.at, numerator, denominator)
+        none = np.zeros(self.states.order)
+        rows = tuple(np.concatenate([none, row]) for row in after.integrals)
+        return Source(self.at, self.states.then(after.states), rows)
+
+    @property
+    def turning(self) -> FilterStates:
+        """The second integral of the noise, by which a free body turns; more states where `states` lack it."""
+        states = self.states
+        if self.integrals:
+            states = FilterStates(states.a, states.b, self.integrals[-1], 0.0)
+        for _ in range(2 - len(self.integrals)):
+            states = states.then(_INTEGRATOR)
+        return states
 
 
 @dataclass(frozen=True)
@@ -154,7 +84,7 @@ class SampledLoop:
     """Matrices of a sampled loop.
 
     The continuous states are [structure and mirror, anti-alias filters, shaping filters of the sources], those kept
-    from sample to sample [continuous states, controller, past torques u[k−1], u[k−2], ...].
+    from sample to sample [continuous states, controller, past torques u[k−1], u[k−2], ...]. A free hub's drift is none.
 
     Attributes
     ----------
@@ -168,6 +98,8 @@ class SampledLoop:
         In z, and as states from error to torque.
     period, whole, rest
         T [s]; the delay in whole periods and what is left of it [s].
+    drift
+        Which continuous states only integrate: angles by which sources turn a free body without bound.
     """
 
     a: Array
@@ -181,6 +113,7 @@ class SampledLoop:
     period: float
     whole: int
     rest: float
+    drift: tuple[int, ...] = ()
 
     @cached_property
     def _held(self) -> Array:
@@ -245,10 +178,25 @@ class SampledLoop:
         return moved
 
     @cached_property
+    def settled(self) -> tuple[Array, Array]:
+        """(size−d, size), (size, size−d) States at a sample beside those a drift leaves behind, and back without drift.
+
+        A loop with integral action follows d drifts: one that stands still leaves states at which nothing moves and
+        the line of sight has no error. What is beside these decays, whatever the drift does.
+        """
+        kept = np.delete(np.arange(self.size), self.drift)
+        beside, back = np.eye(self.size)[kept], np.eye(self.size)[:, kept]
+        if self.drift:
+            moved = self.transition[kept]
+            left = np.linalg.solve(np.eye(kept.size) - moved[:, kept], moved[:, list(self.drift)])
+            beside[:, list(self.drift)] = -left
+        return beside, back
+
+    @cached_property
     def energy(self) -> Array:
         """(r, size) F with FᵀF = ∫ y² dt of the line of sight over the period that follows a sample."""
         first, second = self.phases
-        return _stacked(self.spans[0].energy @ first, self.spans[1].energy @ second)
+        return stacked(self.spans[0].energy @ first, self.spans[1].energy @ second)
 
     @cached_property
     def poles(self) -> ComplexArray:
@@ -303,13 +251,12 @@ class SampledLoop:
 
 
 def solutions(upper: ComplexArray, columns: ComplexArray, points: ComplexArray) -> ComplexArray:
-    """(m, n, c) (s I − U)⁻¹ B at (m,) points, U upper triangular."""
-    found: ComplexArray = np.empty((points.size, *columns.shape), dtype=complex)
-    for k, point in enumerate(points):
-        shifted = -upper
-        shifted[np.diag_indices_from(shifted)] += point
-        found[k] = linalg.solve_triangular(shifted, columns, check_finite=False)
-    return found
+    """(m, n, c) (s I − U)⁻¹ B at (m,) points, U upper triangular: back substitution at all points together."""
+    found: ComplexArray = np.empty((*columns.shape, points.size), dtype=complex)
+    for k in reversed(range(columns.shape[0])):
+        below = np.tensordot(upper[k, k + 1 :], found[k + 1 :], 1)
+        found[k] = (columns[k][:, None] + below) / (points - upper[k, k])
+    return np.moveaxis(found, 2, 0)
 
 
 def sampled_loop(
@@ -320,44 +267,53 @@ def sampled_loop(
     Raises
     ------
     ModelError
-        If the controller is not sampled, the hub is free, or a source would be sampled or seen with infinite variance.
+        If the controller is not sampled, the control torque turns a free hub, or a source would be sampled or seen with
+        infinite variance.
     """
     controller = discrete_controller(loop.controller)
     sampling = loop.controller.path.sampling
     assert sampling is not None
-    if np.any(modes.stiffness == 0):
-        raise ModelError("sampled loop: a free hub drifts between samples; hold or fix the hub")
-    plant = _scaled(_with_stroke(plant_state_space(loop, modes, mirror_port), modes.at(mirror_port)))
+    plant = _with_stroke(plant_state_space(loop, modes, mirror_port), modes.at(mirror_port))
+    plant, turned = split(plant, loop, modes, mirror_port)
+    plant, free = _scaled(plant), bool(np.any(modes.stiffness == 0))
     anti_alias = filter_state_space(loop.controller.path.anti_alias)
+    shapes = [source.turning if free and source.at in plant.inputs else source.states for source in sources]
     n, aliased = plant.a.shape[0], anti_alias.order
-    size = n + aliased + sum(source.states.order for source in sources)
+    size = n + aliased + sum(shape.order for shape in shapes)
     a = np.zeros((size, size))
     noise = np.zeros((len(sources), size))
     torque, line_of_sight, measured = np.zeros(size), np.zeros(size), np.zeros(size)
     part = slice(n, n + aliased)
+    aimed, sensed = plant.outputs.index("mirror_angle"), plant.outputs.index("sensor_angle")
     a[:n, :n] = plant.a
     torque[:n] = plant.b[:, plant.inputs.index("control_torque")]
-    line_of_sight[:n] = plant.c[plant.outputs.index("mirror_angle")]
-    angle = plant.c[plant.outputs.index("sensor_angle")]
+    line_of_sight[:n] = plant.c[aimed]
+    angle = plant.c[sensed]
     stroke = np.zeros((2, size))
     stroke[:, :n] = plant.c[-2:]
     a[part, :n], a[part, part] = np.outer(anti_alias.b, angle), anti_alias.a
     measured[:n], measured[part] = anti_alias.d * angle, anti_alias.c
     first = n + aliased
-    for k, source in enumerate(sources):
-        shape = source.states
-        own = slice(first, first + shape.order)
-        first += shape.order
+    drift: list[int] = []
+    for k, (source, shape) in enumerate(zip(sources, shapes, strict=True)):
+        own, known = slice(first, first + shape.order), source.states.order
+        drift += range(first + known, first + shape.order)
         a[own, own], noise[k, own] = shape.a, shape.b
+        seen, read = shape.c, shape.c
         if source.at in plant.inputs:
-            push = plant.b[:, plant.inputs.index(source.at)]
-            a[:n, own], noise[k, :n] = np.outer(push, shape.c), shape.d * push
-            continue
-        _refuse_infinite(source, anti_alias)
-        a[part, own], noise[k, part] = np.outer(anti_alias.b, shape.c), shape.d * anti_alias.b
-        measured[own] = anti_alias.d * shape.c
-        if source.at == "line_of_sight":
-            line_of_sight[own] = shape.c
+            load = plant.inputs.index(source.at)
+            push = plant.b[:, load]
+            a[:n, first : first + known] = np.outer(push, source.states.c)
+            noise[k, :n] = source.states.d * push
+            seen, read = turned[aimed, load] * shape.c, turned[sensed, load] * shape.c
+        else:
+            _refuse_infinite(source, anti_alias)
+            noise[k, part] = shape.d * anti_alias.b
+            seen = float(source.at == "line_of_sight") * shape.c
+        line_of_sight[own] = seen
+        a[part, own] = np.outer(anti_alias.b, read)
+        measured[own] = anti_alias.d * read
+        first += shape.order
     whole, rest = _delay(sampling)
     return SampledLoop(
         a,
@@ -371,6 +327,7 @@ def sampled_loop(
         sampling.period,
         whole,
         rest,
+        tuple(drift),
     )
 
 

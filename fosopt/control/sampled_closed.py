@@ -20,7 +20,7 @@ def sampled_closed_loop_state_space(loop: Loop, modes: ModalSet, mirror_port: st
     Raises
     ------
     ModelError
-        If the loop is not sampled, or the hub is free.
+        If the loop is not sampled, or its torque turns a free hub.
     """
     plant = sampled_plant_state_space(loop, modes, mirror_port)
     controller = sampled_controller_state_space(loop.controller)

@@ -79,12 +79,13 @@ def sampled_controller_state_space(pid: PID) -> StateSpace:
 def sampled_plant_state_space(loop: Loop, modes: ModalSet, mirror_port: str) -> StateSpace:
     """The plant of a sampled loop from computed torque to the sampled angle, with hold, delay and anti-alias filters.
 
-    Outputs are what the controller is fed and the mirror angle at the samples [rad].    [Astrom1997] Sec. 2.3
+    Outputs are what the controller is fed and the mirror angle at the samples [rad]. A free hub's drift, which the
+    torque does not move, is left out.    [Astrom1997] Sec. 2.3
 
     Raises
     ------
     ModelError
-        If the loop is not sampled, or the hub is free.
+        If the loop is not sampled, or its torque turns a free hub.
     """
     sampled = sampled_loop(loop, modes, mirror_port)
     moved, column, row = sampled.plant

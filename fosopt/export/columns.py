@@ -20,6 +20,7 @@ TEXT = ("key", "label", "case", "strategy", "status")
 VERDICT = ("verified", "dominated")
 TEXT_AFTER = ("parent", "reason")
 EFFORT = ("seconds", "iterations", "kkt_residual")
+LINE = {"requirement_line_excess_rad": "rad", "requirement_line_frequency_hz": "Hz"}
 SI = "SI"
 """Unit of a column whose quantity has no name: slacks, multipliers and expressions."""
 
@@ -81,6 +82,8 @@ def front_columns(run: Row) -> list[Column]:
     for part in ("slack", "multiplier"):
         for name, values in constraints(run, part).items():
             add(f"{part}_{name}", "number", SI, values)
+    for name, values in line_verdicts(run).items():
+        add(name, "number" if name in LINE else "verdict", LINE.get(name, ""), values)
     for name, matrix in variables(run).items():
         column = variable_column(run, name)
         unit, owner = units.get(column_of(run, name)[0], SI), name if name in run["labels"] else None
@@ -170,6 +173,18 @@ def bounds(run: Row) -> dict[str, list[Cell]]:
             columns.setdefault(name, [None] * len(every))[row] = None if value is None else value * factor
             columns.setdefault(f"{bound['name']}_gap", [None] * len(every))[row] = bound["gap"]
     return columns
+
+
+def line_verdicts(run: Row) -> dict[str, list[Cell]]:
+    """Whether each point keeps below the requirement line, false where it is not judged, and the numbers in `LINE`."""
+    if run.get("requirement_line") is None:
+        return {}
+    verdicts = [point.get("requirement_line") or {} for point in points(run)]
+    return {
+        "requirement_line_met": [bool(each.get("met")) for each in verdicts],
+        "requirement_line_excess_rad": [each.get("excess") for each in verdicts],
+        "requirement_line_frequency_hz": [each.get("frequency_hz") for each in verdicts],
+    }
 
 
 def variables(run: Row) -> dict[str, list[list[float | None]]]:

@@ -16,6 +16,7 @@ from fosopt.export.columns import (
     column_units,
     constraints,
     free,
+    line_verdicts,
     listed,
     metrics,
     names,
@@ -81,6 +82,7 @@ def write_mat(run: Mapping[str, Any], path: Path) -> None:
             {column_of(run, name)[0]: values for name, values in designed.items()},
             lambda values: numbers(values, len(values[0])),
         ),
+        **{name: numbers(values) for name, values in line_verdicts(run).items()},
         "slack": _struct(constraints(run, "slack"), numbers),
         "multiplier": _struct(constraints(run, "multiplier"), numbers),
         "labels": _struct(

@@ -1,9 +1,9 @@
 """Stability boundaries: where along a parameter the closed loop loses or regains stability.
 
-Along a path of loops the poles are followed from sample to sample. A boundary lies where the spectral abscissa changes
-sign; samples are added where a pole turns back close to the imaginary axis and where one pole takes over from another,
-so that a pair of boundaries between two samples is not overlooked. Assumes that between samples no pole turns more
-than once.
+Along a path of loops the poles are followed from sample to sample, those of a sampled loop as ln z/T. A boundary lies
+where the spectral abscissa changes sign; samples are added where a pole turns back close to the imaginary axis and
+where one pole takes over from another, so that a pair of boundaries between two samples is not overlooked. Assumes that
+between samples no pole turns more than once.
 """
 
 from __future__ import annotations
@@ -11,18 +11,35 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import Any
+from math import pi
+from typing import Any, Generic, Protocol, TypeVar
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy import optimize
 
-from fosopt.control import ClosedLoopPoles
 from fosopt.errors import ModelError
 from fosopt.metrics.functional import LoopModel
 from fosopt.ops import ComplexArray
 
-Path = Callable[[float, ClosedLoopPoles | None], ClosedLoopPoles]
-"""Closed-loop poles at a value of the parameter, starting from poles of a neighbor or none."""
+
+class Poles(Protocol):
+    """Closed-loop poles in an order that those of neighboring loops share."""
+
+    @property
+    def value(self) -> ComplexArray:
+        """(m,) Poles that the loop moves [rad/s]."""
+
+    @property
+    def multiplicity(self) -> NDArray[np.intp]:
+        """(m,) How many poles each stands for; alike where those of two loops are the same ones."""
+
+    @property
+    def spectral_abscissa(self) -> float:
+        """Largest real part, of poles that the loop does not move as well [rad/s]."""
+
+
+P = TypeVar("P", bound=Poles)
 
 TOLERANCE = 1e-9
 """Relative accuracy of a boundary [-]."""
@@ -59,14 +76,19 @@ class Boundary:
 
 
 def stability_boundaries(
-    path: Path, low: float, high: float, *, log: bool = True, samples: int = _SAMPLES
+    path: Callable[[float, P | None], P],
+    low: float,
+    high: float,
+    *,
+    log: bool = True,
+    samples: int = _SAMPLES,
 ) -> list[Boundary]:
     """Every boundary of stability for a parameter from `low` to `high`, ascending, to 1e-9 of its value.
 
     Parameters
     ----------
     path
-        From the parameter to the poles.
+        From the parameter, and the poles of a neighbor or none to start from, to the poles.
     log
         Whether samples are spaced by equal ratios.
     samples
@@ -90,16 +112,28 @@ def stability_boundaries(
     return [search.between(a, b) for a, b in pairwise(found) if a.stable != b.stable]
 
 
-def boundary_mode(model: LoopModel, pole: complex) -> int:
+def boundary_mode(model: LoopModel, pole: complex, period: float | None = None) -> int:
     """Number of the structural mode, from one, that moves most as the loop oscillates at a pole.
 
-    Motions are those of a load at the ports the loop uses, in mass-normalized coordinates.
+    Motions are those of a load at the ports the loop uses, in mass-normalized coordinates. A held load oscillates at
+    all frequencies that look alike at the samples, each as much as the hold lets pass.    [Astrom1997] Sec. 7.3
+
+    Parameters
+    ----------
+    period
+        Of a loop that samples [s].
     """
     modes = model.modes
     ports = [model.mirror_port, *model.loop.other_ports]
     shape = np.max([np.abs(modes.at(port)) for port in ports], axis=0)
-    resistance = np.abs(pole**2 + modes.damping * pole + modes.stiffness)
-    return 1 + int(np.argmax(shape / np.maximum(resistance, np.finfo(float).tiny)))
+    load, s = np.ones(1), np.array([pole])
+    if period is not None:
+        count = int(np.ceil(modes.natural_frequency.max(initial=0.0) * period / (2 * pi)))
+        s = pole + 2j * pi / period * np.arange(-count, count + 1)
+        load = np.abs(np.where(s == 0, period, -np.expm1(-s * period) / np.where(s == 0, 1.0, s)))
+    resistance = np.abs(s[:, None] ** 2 + modes.damping * s[:, None] + modes.stiffness)
+    motion = load[:, None] * shape / np.maximum(resistance, np.finfo(float).tiny)
+    return 1 + int(np.argmax(motion.max(axis=0)))
 
 
 def branches(lines: Sequence[Sequence[Boundary]], log: bool = True) -> list[list[int]]:
@@ -139,11 +173,11 @@ def _apart(a: float, b: float, log: bool) -> float:
 
 
 @dataclass(frozen=True)
-class _Sample:
+class _Sample(Generic[P]):
     """Poles at one place of the path."""
 
     at: float
-    poles: ClosedLoopPoles
+    poles: P
 
     @property
     def stable(self) -> bool:
@@ -151,39 +185,41 @@ class _Sample:
 
     @property
     def critical(self) -> complex:
-        """The rightmost pole."""
-        every: ComplexArray = np.concatenate([self.poles.value, self.poles.open_loop.uncoupled])
-        pole = every[np.argmax(every.real)]
+        """The rightmost pole; one that the loop does not move never leaves the left half plane."""
+        value = self.poles.value
+        pole = value[np.argmax(value.real)]
         return complex(pole.real, abs(pole.imag))
 
-    def follows(self, other: _Sample) -> bool:
+    def follows(self, other: _Sample[P]) -> bool:
         """Whether poles of the two samples are the same ones, one by one."""
         return np.array_equal(self.poles.multiplicity, other.poles.multiplicity)
 
 
-class _Search:
+class _Search(Generic[P]):
     """The path with the poles of its last sample, from which the next ones start."""
 
-    def __init__(self, path: Path, log: bool) -> None:
+    def __init__(self, path: Callable[[float, P | None], P], log: bool) -> None:
         self._path, self._log = path, log
-        self._near: ClosedLoopPoles | None = None
+        self._near: P | None = None
 
     def value(self, u: float) -> float:
         return float(np.exp(u)) if self._log else float(u)
 
-    def at(self, u: float, near: ClosedLoopPoles | None = None) -> _Sample:
+    def at(self, u: float, near: P | None = None) -> _Sample[P]:
         self._near = self._path(self.value(u), near or self._near)
         return _Sample(float(u), self._near)
 
-    def turns(self, samples: Sequence[_Sample]) -> Iterator[_Sample]:
+    def turns(self, samples: Sequence[_Sample[P]]) -> Iterator[_Sample[P]]:
         """Samples where a pole that stays on its side of the axis comes closest to it and may cross it twice."""
         for left, middle, right in zip(samples, samples[1:], samples[2:], strict=False):
             if not (left.follows(middle) and middle.follows(right)):
                 continue
             for k in _turning(*(each.poles.value.real for each in (left, middle, right))):
-                yield self._turn(left, middle, right, int(k))
+                # Of a pair whose poles are both there, one is enough.
+                if middle.poles.value[k].imag >= 0:
+                    yield self._turn(left, middle, right, int(k))
 
-    def _turn(self, left: _Sample, middle: _Sample, right: _Sample, k: int) -> _Sample:
+    def _turn(self, left: _Sample[P], middle: _Sample[P], right: _Sample[P], k: int) -> _Sample[P]:
         start = float(middle.poles.value.real[k])
 
         def distance(u: float) -> float:
@@ -197,7 +233,7 @@ class _Search:
         places = ((each.at, d) for each, d in zip((left, right), ends, strict=True))
         return self.at(_crossing(distance, (middle.at, abs(start)), *places), middle.poles)
 
-    def handovers(self, samples: Sequence[_Sample]) -> Iterator[_Sample]:
+    def handovers(self, samples: Sequence[_Sample[P]]) -> Iterator[_Sample[P]]:
         """Samples where one growing pole calms down before another one starts to grow."""
         for left, right in pairwise(samples):
             if left.stable or right.stable or not left.follows(right):
@@ -205,7 +241,7 @@ class _Search:
             if not np.any((left.poles.value.real > 0) & (right.poles.value.real > 0)):
                 yield self._handover(left, right)
 
-    def _handover(self, left: _Sample, right: _Sample) -> _Sample:
+    def _handover(self, left: _Sample[P], right: _Sample[P]) -> _Sample[P]:
         """Where the poles that grow on the left are as close to the axis as those that grow on the right."""
         falling, rising = (each.poles.value.real > 0 for each in (left, right))
 
@@ -218,11 +254,11 @@ class _Search:
         width = right.at - left.at
         return self.at(optimize.brentq(lead, left.at, right.at, xtol=1e-6 * width, rtol=1e-14), left.poles)
 
-    def abscissa(self, near: ClosedLoopPoles) -> Callable[[float], float]:
+    def abscissa(self, near: P) -> Callable[[float], float]:
         """The spectral abscissa along the path, its poles found from those of a neighbor."""
         return lambda u: self.at(u, near).poles.spectral_abscissa
 
-    def between(self, left: _Sample, right: _Sample) -> Boundary:
+    def between(self, left: _Sample[P], right: _Sample[P]) -> Boundary:
         """The boundary between a stable and an unstable sample."""
         near = left.poles
         size = 1.0 if self._log else max(abs(left.at), abs(right.at))

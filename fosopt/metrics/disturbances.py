@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from functools import cached_property
 from math import inf, sqrt
+from typing import Literal
 
 import numpy as np
 from scipy import signal
@@ -95,6 +96,8 @@ class Disturbance:
         Frequencies counted [rad/s].
     interpolation
         Of a table between its rows.
+    axis
+        Of a mirror with two axes, the one it acts about; both at once are disturbances that are alike and independent.
     """
 
     name: str
@@ -104,6 +107,7 @@ class Disturbance:
     psd: Array | None = None
     band: tuple[float, float] = (0.0, inf)
     interpolation: Interpolation = "linear"
+    axis: Literal["first", "second", "both"] = "first"
 
     def __post_init__(self) -> None:
         if self.at not in NUMERATORS:

@@ -26,12 +26,15 @@ class Points:
         Receptances of the structure alone at `s`.
     g
         Receptances of the structure with what is attached to it.
+    model
+        Whose points they are.
     """
 
     s: ComplexArray
     modal: ComplexArray
     bare: Receptances
     g: Receptances
+    model: LoopModel
 
 
 @dataclass(frozen=True)
@@ -41,7 +44,7 @@ class Functional:
     Attributes
     ----------
     response
-        Name of R: one of `control.NUMERATORS`, or ``characteristic``, ``loop_transfer``.
+        Name of R: one of `control.NUMERATORS` or `control.OTHER_AXIS`, or ``characteristic``, ``loop_transfer``.
     points
         Where, away from closed-loop poles.
     weight
@@ -66,6 +69,10 @@ class LoopModel:
         modes = self.modes
         return self._points(s, 1.0 / (s[:, None] ** 2 + modes.damping * s[:, None] + modes.stiffness))
 
+    def seen(self, points: Points) -> Points:
+        """Points of another model on the same modes, as this one sees them."""
+        return self._points(points.s, points.modal)
+
     def points_near_pole(self, base: complex, shift: complex) -> Points:
         """The point base + shift, exact however close it is to the open-loop pole `base`."""
         half = 0.5 * self.modes.damping
@@ -75,7 +82,7 @@ class LoopModel:
 
     def _points(self, s: ComplexArray, modal: ComplexArray) -> Points:
         bare = Receptances.of((modal @ self._pairs).T)
-        return Points(s, modal, bare, with_attachments(self.loop, s, bare))
+        return Points(s, modal, bare, with_attachments(self.loop, s, bare), self)
 
     def along(self, points: Points) -> tuple[Dual, Receptances]:
         """The points and receptances there with their derivatives in `s`, as formulas take them."""
@@ -86,6 +93,11 @@ class LoopModel:
         return s, with_attachments(self.loop, s, Receptances.of(both))
 
     @cached_property
+    def port_names(self) -> tuple[tuple[str, str], ...]:
+        """The ports of each pair of receptances."""
+        ports = self.loop.ports(self.mirror_port)
+        return tuple((ports[a], ports[b]) for a, b in self.loop.pairs)
+
+    @cached_property
     def _pairs(self) -> Array:
-        shapes = [self.modes.at(port) for port in self.loop.ports(self.mirror_port)]
-        return np.array([shapes[a] * shapes[b] for a, b in self.loop.pairs]).T
+        return np.array([self.modes.at(p) * self.modes.at(q) for p, q in self.port_names]).T

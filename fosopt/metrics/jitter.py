@@ -21,20 +21,22 @@ from numpy.typing import NDArray
 
 from fosopt.control import (
     COMMANDED,
-    NUMERATORS,
     ClosedLoopPoles,
     Loop,
     Receptances,
     characteristic,
     closed_loop_response,
+    numerator_of,
 )
+from fosopt.errors import ModelError
 from fosopt.metrics.disturbances import Disturbance, refuse_infinite_variance
-from fosopt.metrics.functional import Functional, LoopModel
+from fosopt.metrics.functional import Functional, LoopModel, Points
 from fosopt.ops import Array, ComplexArray, Dual
 
 # Poles of filter and loop closer than this (relative) share a residue that loses as many digits.
 _MEETING = 1e-4
-_NODES = 20  # per piece of a panel
+PANEL = 20
+"""Nodes per panel of `resonance_quadrature`, or per piece of one."""
 _REACH = 6.0  # of a piece in u; 20 nodes leave 1e-11 of a resonance
 
 
@@ -65,7 +67,9 @@ def jitter_variances(
     poles.refuse_unstable(shift)
     for disturbance in disturbances:
         refuse_infinite_variance(disturbance, model.loop, poles.open_loop.drifting)
-    rational = [d for d in disturbances if d.by_residues and _apart(poles, d)]
+    # Two axes that are alike have double poles.
+    single = model.loop.beside is None
+    rational = [d for d in disturbances if single and d.by_residues and _apart(poles, d)]
     found = dict(zip((d.name for d in rational), _by_residues(model, poles, rational, shift), strict=True))
     return [found.get(d.name) or _by_quadrature(model, poles, d, shift) for d in disturbances]
 
@@ -84,29 +88,57 @@ def apart(value: ComplexArray, disturbance: Disturbance) -> NDArray[np.bool_]:
 
 
 def pole_residues(model: LoopModel, poles: ClosedLoopPoles, response: str) -> ComplexArray:
-    """(m,) Residues N(p)/Δ'(p) of a closed-loop transfer function at the poles the loop moves."""
+    """(m,) Residues N(p)/Δ'(p) of a closed-loop transfer function at the poles the loop moves.
+
+    Raises
+    ------
+    ModelError
+        If the mirror has two axes, which may share poles.
+    """
+    if model.loop.beside is not None:
+        raise ModelError("two axes: their poles may be double and have no residues; study one axis at a time")
     g = poles.receptances()
     slope = characteristic(model.loop, Dual(poles.value, 1.0), g).slope
     at_poles = Receptances.of([pair.value for pair in g.values])
-    numerator = COMMANDED[response] if response in COMMANDED else NUMERATORS[response]
+    numerator = COMMANDED[response] if response in COMMANDED else numerator_of(response)
     return numerator(model.loop, poles.value, at_poles) / slope
 
 
 def _by_residues(
     model: LoopModel, poles: ClosedLoopPoles, disturbances: Sequence[Disturbance], shift: float
 ) -> Iterator[Variance]:
-    """Variances of rational spectra, all on the same points: mirrored poles of the loop and of the filters."""
-    filter_poles = model.points(poles_of_filters(disturbances))
-    every: ComplexArray = np.concatenate([poles.value, filter_poles.s])
-    mirrored = model.points(2 * shift - every)
     g = poles.receptances()
     slope = characteristic(model.loop, Dual(poles.value, 1.0), g).slope
     at_poles = poles.value, Receptances.of([pair.value for pair in g.values])
+    responses = [d.at for d in disturbances]
+    return residue_variances(model, at_poles, poles.multiplicity / slope, disturbances, responses, shift)
+
+
+def residue_variances(
+    model: LoopModel,
+    at_poles: Place,
+    strength: ComplexArray,
+    disturbances: Sequence[Disturbance],
+    responses: Sequence[str],
+    shift: float,
+) -> Iterator[Variance]:
+    """Variances of rational spectra, all on the same points: mirrored poles of the loop and of the filters.
+
+    Parameters
+    ----------
+    at_poles, strength
+        (m,) as in `residue_terms`.
+    responses
+        The closed-loop transfer function each disturbance goes through.
+    """
+    filter_poles = model.points(poles_of_filters(disturbances))
+    every: ComplexArray = np.concatenate([at_poles[0], filter_poles.s])
+    mirrored = model.points(2 * shift - every)
     there = at_poles, (filter_poles.s, filter_poles.g), (mirrored.s, mirrored.g)
-    terms = residue_terms(model.loop, disturbances, poles.multiplicity / slope, *there)
-    for disturbance, (weight, response) in zip(disturbances, terms, strict=True):
+    terms = residue_terms(model.loop, disturbances, strength, *there, responses)
+    for name, (weight, response) in zip(responses, terms, strict=True):
         value = float(np.sum(weight * response).real)
-        yield Variance(value, (Functional(disturbance.at, mirrored, 2 * weight),))
+        yield Variance(value, (Functional(name, mirrored, 2 * weight),))
 
 
 def poles_of_filters(disturbances: Sequence[Disturbance]) -> ComplexArray:
@@ -126,6 +158,7 @@ def residue_terms(
     at_poles: Place,
     at_filters: Place,
     at_mirrored: Place,
+    responses: Sequence[str] | None = None,
 ) -> Iterator[tuple[ComplexArray, ComplexArray]]:
     """Terms r_i and H(−p_i) of J = Σ_i r_i H(−p_i) for each disturbance.    [Gugercin2008]
 
@@ -137,13 +170,15 @@ def residue_terms(
         (..., m) multiplicity over Δ′ at the poles of the loop.
     at_poles, at_filters, at_mirrored
         (..., m) poles of the loop, (f,) poles of all filters, (..., m + f) the mirror images of both.
+    responses
+        The closed-loop transfer functions, by default those of where the disturbances enter.
     """
     filters = [d.filter for d in disturbances if d.filter is not None]
     owner = np.concatenate([np.full(f.poles.size, k) for k, f in enumerate(filters)] or [np.zeros(0)])
     own_residues = np.concatenate([np.zeros(0, dtype=complex), *(f.residues for f in filters)])
     below, below_mirrored = characteristic(loop, *at_filters), characteristic(loop, *at_mirrored)
-    for k, (disturbance, shape) in enumerate(zip(disturbances, filters, strict=True)):
-        numerator = NUMERATORS[disturbance.at]
+    for k, (name, shape) in enumerate(zip(responses or [d.at for d in disturbances], filters, strict=True)):
+        numerator = numerator_of(name)
         at_loop = strength * numerator(loop, *at_poles) * shape.response(at_poles[0])
         through = numerator(loop, *at_filters) / below
         at_filter = np.where(owner == k, through * own_residues, 0.0)
@@ -154,20 +189,49 @@ def residue_terms(
 def _by_quadrature(
     model: LoopModel, poles: ClosedLoopPoles, disturbance: Disturbance, shift: float
 ) -> Variance:
+    nodes, weights = jitter_quadrature(poles, disturbance, shift)
+    return quadrature_variance(model.points(1j * nodes + shift), nodes, weights, disturbance, disturbance.at)
+
+
+def jitter_quadrature(
+    poles: ClosedLoopPoles, disturbance: Disturbance, shift: float = 0.0
+) -> tuple[Array, Array]:
+    """Nodes and weights of `resonance_quadrature` over what a disturbance counts."""
     low, high = disturbance.counted
     cuts = disturbance.cuts
     own = disturbance.filter.poles if disturbance.filter is not None else np.zeros(0, complex)
     if poles.open_loop.drifting and low > 0:
-        # A free rigid body's drift falls as a power of the frequency, from the lower edge on: panels of a decade each.
-        slowest = np.abs(poles.all).min()
-        decades = int(max(np.ceil(np.log10(slowest / low)), 0)) + 1
-        cuts = np.concatenate([cuts, low * 10.0 ** np.arange(decades)])
-    nodes, weights = resonance_quadrature(np.concatenate([poles.all - shift, own]), low, high, cuts)
-    points = model.points(1j * nodes + shift)
-    response = closed_loop_response(disturbance.at, model.loop, points.s, points.g)
+        cuts = np.concatenate([cuts, drift_cuts(low, float(np.abs(poles.all).min()))])
+    return resonance_quadrature(np.concatenate([poles.all - shift, own]), low, high, cuts)
+
+
+def drift_cuts(low: float, slowest: float) -> Array:
+    """(k,) Edges of panels of a decade each, over which a free rigid body's drift falls as a power of the frequency.
+
+    Parameters
+    ----------
+    low, slowest
+        The lowest frequency that is counted and the least size of a pole [rad/s].
+    """
+    decades = int(max(np.ceil(np.log10(slowest / low)), 0)) + 1
+    edges: Array = low * 10.0 ** np.arange(float(decades))
+    return edges
+
+
+def quadrature_variance(
+    points: Points, nodes: Array, weights: Array, disturbance: Disturbance, response: str
+) -> Variance:
+    """Mean square line-of-sight error through one closed-loop transfer function.
+
+    Parameters
+    ----------
+    points
+        Where the (m,) nodes [rad/s] are.
+    """
+    answer = closed_loop_response(response, points.model.loop, points.s, points.g)
     density = weights / (2 * pi) * disturbance.one_sided_psd(nodes)
-    functional = Functional(disturbance.at, points, 2 * density * response.conj())
-    return Variance(float(np.sum(density * np.abs(response) ** 2)), (functional,))
+    functional = Functional(response, points, 2 * density * answer.conj())
+    return Variance(float(np.sum(density * np.abs(answer) ** 2)), (functional,))
 
 
 @lru_cache(maxsize=32)
@@ -208,7 +272,7 @@ def resonance_quadrature(poles: ComplexArray, low: float, high: float, cuts: Arr
     left, right = edges[:-1], edges[1:]
     nearest = np.searchsorted(middles, 0.5 * (left + right))
     center, width = centers[nearest], widths[nearest]
-    x, w = gauss(_NODES)
+    x, w = gauss(PANEL)
     u0, u1 = np.arcsinh((left - center) / width), np.arcsinh((right - center) / width)
     # A panel that reaches many widths away is cut where the nodes would grow too sparse for the rest of the loop.
     pieces = np.maximum(np.ceil((u1 - u0) / _REACH), 1).astype(int)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -177,7 +177,7 @@ def decay_functional(
     eigenvalue: Array,
     modes: ModalSet,
     damping: Damping,
-    mirror_port: str,
+    mirror_ports: Sequence[str],
     kept: NDArray[np.intp],
     decay: float,
 ) -> ModalFunctional:
@@ -194,7 +194,7 @@ def decay_functional(
     pole = -0.5 * modes.damping + root
     # Of modes that share the pole, the one that stands still at the mirror.
     own = kept[np.abs(pole[kept].real - decay) <= 1e-12 * np.abs(pole[kept])]
-    k = int(own[np.argmin(np.abs(modes.at(mirror_port)[own]))])
+    k = int(own[np.argmin(sum(np.abs(modes.at(port)[own]) for port in mirror_ports))])
     change = impedance_change(eigenvalue, modes, damping)
     factor, p = -1 / (2 * pole[k] + modes.damping[k]), pole[k]
     stiffness, mass = np.zeros_like(change.hub_by_mass), np.zeros_like(change.hub_by_mass)

@@ -8,6 +8,10 @@ square over time, E ∫ y² dt/T. White noise at the time s before a sample leav
 
 Spectra over a band go by frequency: an input at ω leaves at ω + nω_s all that the hold makes of one sequence of
 samples; together with what the input moves by itself it is squared and averaged over a period.    [Araki1996]
+
+A torque on a free hub that is counted from a frequency ω₀ up has no energy of its own over all frequencies. Washed out
+by a high pass W below ω₀ it has, and above 32 ω₀ the two are one: J is the energy of the washed-out one, less what it
+leaves up to there, plus what the torque itself leaves from ω₀ to there.
 """
 
 from __future__ import annotations
@@ -15,18 +19,19 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from math import inf, pi
+from math import inf, pi, sqrt
 
 import numpy as np
 from scipy import linalg, optimize
 
 from fosopt.control import Loop
-from fosopt.control.filter_states import PASSING, rational_states
+from fosopt.control.filter_states import PASSING
 from fosopt.control.phase import resonance_grid
-from fosopt.control.sampled import SampledLoop, Source, energy_for_ever, sampled_loop, solutions, span
+from fosopt.control.sampled import SampledLoop, Source, sampled_loop, solutions
+from fosopt.control.spans import energy_for_ever, span
 from fosopt.errors import SolverError, UnstableError
-from fosopt.metrics.disturbances import Disturbance
-from fosopt.metrics.jitter import gauss, resonance_quadrature
+from fosopt.metrics.disturbances import Disturbance, ShapingFilter, high_pass, refuse_infinite_variance
+from fosopt.metrics.jitter import drift_cuts, gauss, resonance_quadrature
 from fosopt.modes import ModalSet
 from fosopt.ops import Array, ComplexArray
 
@@ -37,6 +42,8 @@ _GONE = 1e-6
 # Instants in a piece of a period in which the fastest state or input turns by this angle [rad]: good to rounding.
 _INSTANTS, _TURN = 10, 2.0
 _BLOCK = 1 << 20  # complex numbers in a table of instants and frequencies
+# Order of W, and how many times its corner it is one within 1e-12 in power.
+_WASH, _WASHED = 4, 32.0
 
 
 @dataclass(frozen=True)
@@ -63,6 +70,23 @@ class SampledModel:
         """Whether all poles lie within the unit circle."""
         return self.spectral_abscissa < 0
 
+    def refuse_infinite(self) -> None:
+        """Refuse disturbances whose jitter is infinite, whether the loop is stable or not.
+
+        Raises
+        ------
+        ModelError
+            If one pushes a free hub at zero frequency, or is sampled or seen with infinite variance.
+        """
+        for each in self.disturbances if self.free else ():
+            refuse_infinite_variance(each, self.loop, drifting=True)
+        self._with(self._endless)
+
+    @property
+    def _endless(self) -> list[Disturbance]:
+        """Disturbances with a rational spectrum that is counted up to any frequency."""
+        return [d for d in self.disturbances if d.filter is not None and d.band[1] == inf]
+
     @cached_property
     def variances(self) -> dict[str, float]:
         """Mean square line-of-sight error by the name of its disturbance, averaged over time [rad²].
@@ -78,37 +102,64 @@ class SampledModel:
             raise UnstableError(
                 f"sampled loop is unstable: a pole has ln|z|/T = {self.spectral_abscissa:.6g} rad/s"
             )
-        whole = [d for d in self.disturbances if d.filter is not None and d.band[1] == inf]
+        self.refuse_infinite()
+        whole = self._endless
         found = dict(zip((d.name for d in whole), self._over_all(whole), strict=True))
         values = {}
         for d in self.disturbances:
             low, high = d.counted
+            washing = self._washing(d)
             if d.name not in found:
                 values[d.name] = self.over_band(d, low, high)
+            elif washing is not None:
+                top = _WASHED * low
+                left = self.over_band(d, 0.0, top, washing)
+                values[d.name] = found[d.name] - left + self.over_band(d, low, top)
             else:
                 below = self.over_band(d, 0.0, low) if low > 0 else 0.0
                 values[d.name] = found[d.name] - below
         return values
 
+    @property
+    def free(self) -> bool:
+        """Whether the hub is free."""
+        return bool(np.any(self.modes.stiffness == 0))
+
+    def _washing(self, disturbance: Disturbance) -> ShapingFilter | None:
+        """W of a disturbance that would push a free hub at zero frequency but is counted from above it."""
+        low = disturbance.counted[0]
+        return (
+            high_pass(low, sqrt(2), _WASH) if self.free and low > 0 and "torque" in disturbance.at else None
+        )
+
     def _over_all(self, disturbances: Sequence[Disturbance]) -> list[float]:
-        """Mean squares of rational spectra over all frequencies, all from one energy of the loop."""
+        """Mean squares of rational spectra over all frequencies, washed out or not, all from one energy of the loop."""
         if not disturbances:
             return []
-        shapes = [d.filter for d in disturbances]
-        sources = [
-            Source(d.at, rational_states(s.numerator, s.denominator))
-            for d, s in zip(disturbances, shapes, strict=True)
-            if s is not None
-        ]
-        return averaged_variances(sampled_loop(self.loop, self.modes, self.mirror_port, sources))
+        return averaged_variances(self._with(disturbances))
 
-    def over_band(self, disturbance: Disturbance, low: float, high: float) -> float:
+    def _with(self, disturbances: Sequence[Disturbance]) -> SampledLoop:
+        """The loop with rational spectra in front of it, washed out or not."""
+        sources = []
+        for d in disturbances:
+            assert d.filter is not None
+            source, washing = Source.shaped(d.at, d.filter.numerator, d.filter.denominator), self._washing(d)
+            sources.append(
+                source if washing is None else source.washed(washing.numerator, washing.denominator)
+            )
+        return sampled_loop(self.loop, self.modes, self.mirror_port, sources)
+
+    def over_band(
+        self, disturbance: Disturbance, low: float, high: float, washing: ShapingFilter | None = None
+    ) -> float:
         """Mean square over a finite band of a disturbance's frequencies, by quadrature [rad²].
 
         Parameters
         ----------
         low, high
             [rad/s].
+        washing
+            A filter that the disturbance passes before it is counted.
         """
         sampled = self.bare
         rate = 2 * pi / sampled.period
@@ -117,11 +168,15 @@ class SampledModel:
         aliases = np.arange(-1, int(np.ceil(high / rate)) + 2)
         images = (slow[:, None] + 1j * rate * aliases).ravel()
         images = images[(images.imag >= 0) & (images.imag <= 1.5 * high + rate)]
-        own = disturbance.filter.poles if disturbance.filter is not None else np.zeros(0, complex)
+        own = [f.poles for f in (disturbance.filter, washing) if f is not None]
         cuts = disturbance.cuts
-        poles = np.concatenate([images, images.conj(), linalg.eigvals(sampled.a), own])
+        poles = np.concatenate([images, images.conj(), linalg.eigvals(sampled.a), *own])
+        if self.free and low > 0:
+            cuts = np.concatenate([cuts, drift_cuts(low, float(np.abs(poles).min()))])
         nodes, weights = resonance_quadrature(poles, low, high, cuts)
         density = weights / (2 * pi) * disturbance.one_sided_psd(nodes)
+        if washing is not None:
+            density = density * np.abs(washing.response(1j * nodes)) ** 2
         return float(np.sum(density * self.power(disturbance.at, nodes)))
 
     def power(self, at: str, frequency: Array) -> Array:
@@ -228,7 +283,8 @@ def averaged_variances(sampled: SampledLoop) -> list[float]:
     [Chen1995] Ch. 12
     """
     n, period = sampled.torque.size, sampled.period
-    later = energy_for_ever(sampled.transition, sampled.energy)[:, :n]
+    beside, back = sampled.settled
+    later = (energy_for_ever(beside @ sampled.transition @ back, sampled.energy @ back) @ beside)[:, :n]
     before = span(sampled.a, sampled.line_of_sight[None], period, grown=True).grown
     after = span(sampled.a, later, period).energy
     return [float(np.sum((before @ b) ** 2) + np.sum((after @ b) ** 2)) / period for b in sampled.noise]

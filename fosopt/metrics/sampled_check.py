@@ -12,8 +12,8 @@ from math import inf
 import numpy as np
 from scipy import integrate, linalg
 
-from fosopt.control.filter_states import rational_states
-from fosopt.control.sampled import SampledLoop, Source, energy_for_ever, sampled_loop
+from fosopt.control.sampled import SampledLoop, Source, sampled_loop
+from fosopt.control.spans import energy_for_ever
 from fosopt.metrics.disturbances import Disturbance
 from fosopt.metrics.sampled import SampledModel
 from fosopt.ops import Array
@@ -42,7 +42,7 @@ class Forward:
 def forward(model: SampledModel) -> Forward:
     """Jitter and stability of a stable sampled loop, forward in time.    [VanLoan1978]"""
     sources = [
-        Source(d.at, rational_states(d.filter.numerator, d.filter.denominator))
+        Source.shaped(d.at, d.filter.numerator, d.filter.denominator)
         for d in _whole(model)
         if d.filter is not None
     ]
@@ -60,8 +60,10 @@ def forward(model: SampledModel) -> Forward:
     transition = sampled.transition.copy()
     transition[:n] = states
     # The covariance at the samples as a factor, for the same reason as energies; the transposed sum.
-    start = np.vstack([added, np.zeros((size - n, added.shape[1]))])
-    covariance = energy_for_ever(transition.T, start.T).T
+    beside, back = sampled.settled
+    start = beside @ np.vstack([added, np.zeros((size - n, added.shape[1]))])
+    transition = beside @ transition @ back
+    covariance = back @ energy_for_ever(transition.T, start.T).T
     states, added, row, total = np.eye(size)[:n], np.zeros((n, 0)), sampled.line_of_sight, 0.0
 
     def seen() -> float:

@@ -12,7 +12,8 @@ from itertools import pairwise
 
 import numpy as np
 
-from fosopt.control.sampled import SampledLoop, Span, span
+from fosopt.control.sampled import SampledLoop
+from fosopt.control.spans import Span, span
 from fosopt.errors import UnstableError
 from fosopt.metrics.sequence import Retargeting
 from fosopt.metrics.step import StepCommand

@@ -3,6 +3,7 @@
 from fosopt.plant.coupled import CoupledModes, coupled_modes, modes_of_matrices, secular, secular_slope
 from fosopt.plant.expansion import ModalExpansion, coupled_expansion, modal_expansion
 from fosopt.plant.matrices import CoupledMatrices, attached, coupled_matrices
+from fosopt.plant.shapes import coupled_shapes, shapes_of_matrices
 from fosopt.plant.zeros import expansion_zeros, mirror_zeros, modal_poles, plant_zeros, quadratic_roots
 
 __all__ = [
@@ -13,6 +14,7 @@ __all__ = [
     "coupled_expansion",
     "coupled_matrices",
     "coupled_modes",
+    "coupled_shapes",
     "expansion_zeros",
     "mirror_zeros",
     "modal_expansion",
@@ -22,4 +24,5 @@ __all__ = [
     "quadratic_roots",
     "secular",
     "secular_slope",
+    "shapes_of_matrices",
 ]

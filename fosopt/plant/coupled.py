@@ -26,7 +26,8 @@ from fosopt.plant.interlacing import falling_roots
 from fosopt.plant.matrices import CoupledMatrices
 
 _TUNED = 1e-9
-_SAME = 1e-13
+SAME = 1e-13
+"""Eigenvalues this close (relative) are one."""
 
 
 def secular_slope(stiffness: Any, eigenvalue: Any, g: Any, g_slope: Any) -> Any:
@@ -165,7 +166,7 @@ def seen_by_mirror(modes: ModalSet, mirror_port: str) -> tuple[Array, Array]:
     shape2, uncoupled = modes.at(mirror_port) ** 2, modes.stiffness
     order = np.argsort(uncoupled, kind="stable")
     uncoupled, shape2 = uncoupled[order], shape2[order]
-    for i in np.flatnonzero((np.diff(uncoupled) <= _SAME * uncoupled[1:]) & (uncoupled[1:] > 0)):
+    for i in np.flatnonzero((np.diff(uncoupled) <= SAME * uncoupled[1:]) & (uncoupled[1:] > 0)):
         shape2[i + 1] += shape2[i]
         shape2[i] = 0.0
     return uncoupled, shape2

@@ -13,7 +13,7 @@ from fosopt.ops import Array
 
 @dataclass(frozen=True)
 class CoupledMatrices:
-    """M q̈ + C q̇ + K q = f with q = [structure, mirror, reaction mass of the mirror, proof masses].
+    """M q̈ + C q̇ + K q = f with q = [structure, mirror, its reaction mass, proof masses, mirror about its other axis].
 
     Attributes
     ----------
@@ -26,6 +26,9 @@ class CoupledMatrices:
     relative
         (n_actuator, n) motion of each proof mass relative to its port; its transpose loads both with the
         interaction force.    [Barker1991] Eq. (2.40)
+    other
+        (n,) load per control torque about the mirror's other axis, whose angle is the last coordinate; None without
+        one.
     """
 
     mass: Array
@@ -36,6 +39,7 @@ class CoupledMatrices:
     control: Array
     sensor: Array
     relative: Array
+    other: Array | None = None
 
 
 def attached(
@@ -75,6 +79,7 @@ def coupled_matrices(
     mirror: Mirror,
     placement: Placement,
     actuators: Sequence[ReactionMassActuator] = (),
+    other: tuple[str, Mirror] | None = None,
 ) -> CoupledMatrices:
     """Attach a mirror and reaction-mass actuators to a structure.
 
@@ -87,6 +92,8 @@ def coupled_matrices(
         (n, n) mass, damping and stiffness, in physical or modal coordinates.
     ports
         (n,) row that reads each port's motion in these coordinates.
+    other
+        Port and mirror about its other axis, the last coordinate.
     """
     n = structure[0].shape[0]
     bodies = [(ports[mirror_port], Suspended(mirror.inertia, mirror.stiffness, mirror.damping))]
@@ -94,6 +101,9 @@ def coupled_matrices(
         bodies.append((ports[mirror_port], mirror.counter))
     first = len(bodies)
     bodies += [(ports[a.port], a.suspended) for a in actuators]
+    last = len(bodies)
+    if other is not None:
+        bodies.append((ports[other[0]], Suspended(other[1].inertia, other[1].stiffness, other[1].damping)))
     mass, damping, stiffness, relative = attached(structure, bodies)
     size = mass.shape[0]
 
@@ -117,5 +127,6 @@ def coupled_matrices(
         n + 1 if mirror.counter is not None else None,
         control,
         unit(placement.sensor, n),
-        relative[first:],
+        relative[first:last],
+        None if other is None else relative[last],
     )

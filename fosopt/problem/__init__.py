@@ -3,7 +3,8 @@
 from fosopt.problem.evaluation import Evaluation
 from fosopt.problem.problem import Constraint, Problem, Rows, branched
 from fosopt.problem.system import INDEXED, LARGE, Design, ModeSelection, System
-from fosopt.problem.variables import Definitions, Variable, design_parameters
+from fosopt.problem.two_axes import TwoAxisEvaluation, evaluation_of
+from fosopt.problem.variables import Definitions, SecondAxisDefinitions, Variable, design_parameters
 
 __all__ = [
     "INDEXED",
@@ -15,8 +16,11 @@ __all__ = [
     "ModeSelection",
     "Problem",
     "Rows",
+    "SecondAxisDefinitions",
     "System",
+    "TwoAxisEvaluation",
     "Variable",
     "branched",
     "design_parameters",
+    "evaluation_of",
 ]

@@ -9,6 +9,7 @@ from math import sqrt
 from fosopt.errors import ModelError
 from fosopt.metrics.sampled import SampledModel
 from fosopt.metrics.sampled_steps import sampled_peaks, sampled_step_metrics
+from fosopt.ops import Array
 from fosopt.problem.system import System
 
 _MARGINS = ("spectral_abscissa", "modulus_margin", "loop_crossover")
@@ -56,8 +57,14 @@ class AsBuilt:
         return sampled_peaks(self.model.bare, self.system.retargeting)
 
 
-def no_gradient(name: str) -> ModelError:
-    """The error of who asks for one."""
-    return ModelError(
+def no_gradient(name: str) -> Array:
+    """Stand in for the gradient of a metric of the loop as built.
+
+    Raises
+    ------
+    ModelError
+        Always: it has none.
+    """
+    raise ModelError(
         f"metric '{name}' of the loop as built has no gradient; judge designs by it, optimize by another one"
     )

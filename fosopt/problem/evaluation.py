@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Sequence
 from functools import cached_property, partial
 
 import numpy as np
@@ -22,34 +21,13 @@ from fosopt.modes import ModalFrame, ModalSet, receptance_functional
 from fosopt.ops import Array, ComplexArray
 from fosopt.plant import CoupledModes, coupled_modes, modes_of_matrices
 from fosopt.problem.as_built import AsBuilt, no_gradient
+from fosopt.problem.found import Found, Valued
 from fosopt.problem.linear import linear_metric
 from fosopt.problem.system import INDEXED, Design, System
-from fosopt.symbolic import LOOP_PARAMETERS, loop_differential
+from fosopt.symbolic import layout_of, loop_differential
 
 # Metrics that are the least or the largest of several branches, and how many of these enter a constraint one by one.
 BRANCHES = {"first_elastic_frequency": 4, "modulus_margin": 6, "spectral_abscissa": 6}
-
-Valued = tuple[float, Array]
-
-
-@dataclass(frozen=True)
-class _Found:
-    """A metric whose gradient, by far the dearer part, is computed when first asked for."""
-
-    value: float
-    make_gradient: Callable[[], Array]
-
-    @cached_property
-    def gradient(self) -> Array:
-        return self.make_gradient()
-
-    @property
-    def valued(self) -> Valued:
-        return self.value, self.gradient
-
-
-def _refuse_gradient(name: str) -> Array:
-    raise no_gradient(name)
 
 
 class Evaluation:
@@ -66,7 +44,7 @@ class Evaluation:
 
     def __init__(self, system: System, design: Design, shift: float = 0.0) -> None:
         self.system, self.design, self.shift = system, design, shift
-        self._known: dict[tuple[str, int | None], _Found] = {}
+        self._known: dict[tuple[str, int | None], Found] = {}
         self._near: ClosedLoopPoles | None = None
         self._shared: OpenLoopPoles | None = None
 
@@ -75,7 +53,7 @@ class Evaluation:
 
         Its poles are found from those of this one where these are known.
         """
-        beside = Evaluation(self.system, design, self.shift)
+        beside = type(self)(self.system, design, self.shift)
         beside.frame, beside.all_modes, beside.kept, beside.modes = (
             self.frame,
             self.all_modes,
@@ -141,6 +119,10 @@ class Evaluation:
             self.all_modes if self.kept.size == self.frame.eigenvalue.size else self.all_modes.keep(self.kept)
         )
 
+    @property
+    def _mirror_ports(self) -> tuple[str, ...]:
+        return (self.system.mirror_port,)
+
     @cached_property
     def model(self) -> LoopModel:
         """The loop on the design model."""
@@ -193,7 +175,7 @@ class Evaluation:
         """
         return self._found(name, index).valued
 
-    def _found(self, name: str, index: int | None) -> _Found:
+    def _found(self, name: str, index: int | None) -> Found:
         key = (name, index)
         if key not in self._known:
             self._known[key] = self._compute(name, index)
@@ -206,7 +188,7 @@ class Evaluation:
             return [self._frequency(int(k)).valued for k in elastic]
         return [each.valued for each in (self._margins if name == "modulus_margin" else self._decays)]
 
-    def _compute(self, name: str, index: int | None) -> _Found:
+    def _compute(self, name: str, index: int | None) -> Found:
         if name in INDEXED:
             if index is None:
                 raise ModelError(f"metric '{name}' needs the number of a mode, such as {name}[1]")
@@ -218,11 +200,11 @@ class Evaluation:
                 f"metric '{name}' does not exist; {did_you_mean(name, (*self.system.metric_names, *INDEXED))}"
             )
         if self.sampled is not None and self.sampled.has(name):
-            return _Found(self.sampled.value(name), partial(_refuse_gradient, name))
+            return Found(self.sampled.value(name), partial(no_gradient, name))
         if name.startswith("peak_"):
             if np.isinf(self._peaks[name]):
                 raise ModelError(f"{name} is infinite: the derivative does not roll off; add a roll-off")
-            return _Found(self._peaks[name], partial(_refuse_gradient, name))
+            return Found(self._peaks[name], partial(no_gradient, name))
         if name == "jitter_total":
             return self._jitter([f"jitter_{d.name}" for d in self.system.disturbances])
         if name.startswith("jitter_"):
@@ -237,43 +219,43 @@ class Evaluation:
             return self._reference_inertia()
         if name == "loop_crossover":
             frequency, functional = margins.crossover(self.model, self.poles)
-            return _Found(frequency, lambda: self._loop_gradient([functional]))
+            return Found(frequency, lambda: self._loop_gradient([functional]))
         if name == "spectral_abscissa":
-            return _Found(self.poles.spectral_abscissa, lambda: self._decays[0].gradient)
+            return Found(self.poles.spectral_abscissa, lambda: self._decays[0].gradient)
         value, gradient = linear_metric(self.system.structure, self.design, name)
-        return _Found(value, lambda: gradient)
+        return Found(value, lambda: gradient)
 
-    def _reference_inertia(self) -> _Found:
+    def _reference_inertia(self) -> Found:
         port, outside = self.system.mirror_port, self.frame.outside
         if outside is None:
             value = inertias.reference_inertia(self.modes, port)
             parts = self.frame, self.all_modes, self.kept, port
-            return _Found(value, lambda: self._modal_gradient(inertias.reference_inertia_functional(*parts)))
+            return Found(value, lambda: self._modal_gradient(inertias.reference_inertia_functional(*parts)))
         # 1/J_ref = eᵀ M⁻¹ e of the whole structure: that of a few modes says little about it.
         value, still = 1 / outside.mobility, np.zeros(self.system.structure.stiffness_rows.shape[0])
-        return _Found(value, lambda: self._weights_gradient(still, (value * outside.impulse_shapes) ** 2))
+        return Found(value, lambda: self._weights_gradient(still, (value * outside.impulse_shapes) ** 2))
 
     @cached_property
-    def _decays(self) -> list[_Found]:
+    def _decays(self) -> list[Found]:
         rightmost = margins.rightmost_poles(self.model, self.poles, BRANCHES["spectral_abscissa"])
-        return [_Found(real, partial(self._decay_gradient, real, f)) for real, f in rightmost]
+        return [Found(real, partial(self._decay_gradient, real, f)) for real, f in rightmost]
 
     def _decay_gradient(self, real: float, functional: Functional | None) -> Array:
         if functional is not None:
             return self._loop_gradient([functional])
-        port, damping = self.system.mirror_port, self.system.damping
+        ports, damping = self._mirror_ports, self.system.damping
         hidden = margins.decay_functional(
-            self.frame.eigenvalue, self.all_modes, damping, port, self.kept, real
+            self.frame.eigenvalue, self.all_modes, damping, ports, self.kept, real
         )
         return self._modal_gradient(hidden)
 
-    def _frequency(self, mode: int) -> _Found:
+    def _frequency(self, mode: int) -> Found:
         value = float(np.sqrt(self.frame.eigenvalue[mode]))
-        return _Found(
+        return Found(
             value, lambda: self._weights_gradient(*self.frame.eigenvalue_gradient(mode)) / (2 * value)
         )
 
-    def _modal(self, name: str, index: int) -> _Found:
+    def _modal(self, name: str, index: int) -> Found:
         own = name in ("structure_frequency", "modal_inertia")
         count = self.modes.natural_frequency.size + (0 if own else 1)
         if own and self.frame.outside is not None:
@@ -286,9 +268,9 @@ class Evaluation:
             mode = int(self.kept[k])
             if name == "structure_frequency":
                 if self.frame.eigenvalue[mode] == 0:
-                    return _Found(float(self.modes.natural_frequency[k]), self._no_gradient)
+                    return Found(float(self.modes.natural_frequency[k]), self._no_gradient)
                 return self._frequency(mode)
-            return _Found(
+            return Found(
                 float(inertias.modal_inertia(self.modes, port)[k]),
                 lambda: self._modal_gradient(
                     inertias.modal_inertia_functional(self.frame, self.all_modes, port, mode)
@@ -311,7 +293,7 @@ class Evaluation:
             )
         else:
             value = float(getattr(coupled, name)[k])
-        return _Found(value, lambda: self._coupled_gradient(name, index, k))
+        return Found(value, lambda: self._coupled_gradient(name, index, k))
 
     def _coupled_gradient(self, name: str, index: int, k: int) -> Array:
         """Gradient of a metric of coupled mode k, counted from zero, that the mirror moves."""
@@ -327,7 +309,7 @@ class Evaluation:
                 return by_reaction
             reaction = float(coupled.effective_modal_reaction_inertia[k])
             gradient = -float(mirror.inertia) / reaction**2 * by_reaction
-            gradient[-len(LOOP_PARAMETERS)] += 1 / reaction
+            gradient[self.design.loop_start] += 1 / reaction
             return gradient
         by_eigenvalue = self._modal_gradient(parts["eigenvalue"])
         if name == "natural_frequency":
@@ -346,19 +328,19 @@ class Evaluation:
     def _no_gradient(self) -> Array:
         return np.zeros(self.design.parameters.size)
 
-    def _unmoved(self, name: str, index: int, k: int) -> _Found:
+    def _unmoved(self, name: str, index: int, k: int) -> Found:
         """A mode the mirror cannot move: a free rigid body, or a node at the port."""
         if name == "modal_reaction_inertia":
             raise ModelError(
                 f"{name}[{index}] is infinite: the mirror cannot move this mode; use effective_{name}"
             )
         if name == "effective_modal_reaction_inertia":
-            return _Found(0.0, self._no_gradient)
+            return Found(0.0, self._no_gradient)
         if name in ("pole_zero_separation", "participation"):
-            return _Found(1.0, self._no_gradient)
+            return Found(1.0, self._no_gradient)
         eigenvalue = self.coupled.eigenvalue[k]
         if eigenvalue == 0:
-            return _Found(0.0, self._no_gradient)
+            return Found(0.0, self._no_gradient)
         return self._frequency(int(np.argmin(np.abs(self.frame.eigenvalue - eigenvalue))))
 
     @cached_property
@@ -373,12 +355,12 @@ class Evaluation:
         """Mean square jitter of each disturbance, by metric name [rad²]."""
         return {name: variance.value for name, variance in self.variances.items()}
 
-    def _jitter(self, names: Sequence[str]) -> _Found:
+    def _jitter(self, names: Sequence[str]) -> Found:
         rms = float(np.sqrt(sum(self.mean_squares[name] for name in names)))
         if rms == 0:
             # A disturbance that cannot reach the line of sight has no jitter, and no slope of its own.
-            return _Found(rms, self._no_gradient)
-        return _Found(
+            return Found(rms, self._no_gradient)
+        return Found(
             rms,
             lambda: (
                 self._loop_gradient([f for name in names for f in self.variances[name].functionals])
@@ -387,19 +369,19 @@ class Evaluation:
         )
 
     @cached_property
-    def _margins(self) -> list[_Found]:
+    def _margins(self) -> list[Found]:
         values, functionals = margins.modulus_margins(self.model, self.poles, BRANCHES["modulus_margin"])
         return [
-            _Found(float(v), partial(self._loop_gradient, [f]))
+            Found(float(v), partial(self._loop_gradient, [f]))
             for v, f in zip(values, functionals, strict=True)
         ]
 
     @cached_property
-    def _step(self) -> dict[str, _Found]:
+    def _step(self) -> dict[str, Found]:
         if self.system.step is None:
             raise ModelError("step metrics need a step command; add one to the system")
         found = step_metrics(self.model, self.poles, self.system.step)
-        return {name: _Found(value, partial(self._loop_gradient, [f])) for name, (value, f) in found.items()}
+        return {name: Found(value, partial(self._loop_gradient, [f])) for name, (value, f) in found.items()}
 
     @cached_property
     def _peaks(self) -> dict[str, float]:
@@ -410,40 +392,49 @@ class Evaluation:
     def _weights_gradient(self, stiffness: Array, mass: Array) -> Array:
         """From derivatives for the row weights of K and M to one over `Design.parameters`."""
         by_members = self.system.structure.weight_gradients @ np.concatenate([stiffness, mass])
-        return np.concatenate([by_members, np.zeros(len(LOOP_PARAMETERS))])
+        return np.concatenate([by_members, np.zeros(layout_of(self.design.loop).size)])
 
     def _modal_gradient(self, functional: ModalFunctional) -> Array:
         by_rows = self.frame.contract(functional.stiffness, functional.mass, functional.motion)
         gradient = self._weights_gradient(*by_rows)
-        first = gradient.size - len(LOOP_PARAMETERS)
+        first = self.design.loop_start
         gradient[first] = functional.mirror_inertia
         gradient[first + 1] = functional.mirror_frequency
         return gradient
 
     def _loop_gradient(self, functionals: Sequence[Functional]) -> Array:
         """Gradient of Σ Re Σ w dR(s): through the receptances to the structure, and directly to the loop."""
-        loop, by_loop = self.design.loop, np.zeros(len(LOOP_PARAMETERS))
         shared: dict[int, tuple[Points, dict[str, ComplexArray]]] = {}
         for f in functionals:
             _, weights = shared.setdefault(id(f.points), (f.points, {}))
             weights[f.response] = weights[f.response] + f.weight if f.response in weights else f.weight
-        by_pair = []
+        by_loop: Array = np.zeros(layout_of(self.design.loop).size)
+        # Points that models of several axes share are places of the structure that are looked at once.
+        places: dict[int, tuple[Points, dict[tuple[str, str], ComplexArray]]] = {}
         for at, weights in shared.values():
-            differential = loop_differential(weights, loop, at.s, at.bare)
-            by_loop += differential.parameters
-            by_pair.append(differential.receptances)
-        points = [at for at, _ in shared.values()]
-        ports = loop.ports(self.system.mirror_port)
-        names = [(ports[a], ports[b]) for a, b in loop.pairs]
+            differential = loop_differential(weights, at.model.loop, at.s, at.bare)
+            by_loop += self._in_order(at.model, differential.parameters)
+            _, coefficients = places.setdefault(id(at.modal), (at, {}))
+            for pair, row in zip(at.model.port_names, differential.receptances, strict=True):
+                pair = pair if pair[::-1] not in coefficients else pair[::-1]
+                coefficients[pair] = coefficients[pair] + row if pair in coefficients else row
+        pairs = dict.fromkeys(pair for _, of in places.values() for pair, row in of.items() if row.any())
         stiffness, mass = receptance_functional(
             self.frame,
             self.all_modes,
             self.system.damping,
             self.kept,
-            np.concatenate([p.s for p in points]),
-            np.concatenate([p.modal for p in points]),
-            dict(zip(names, np.concatenate(by_pair, axis=1), strict=True)),
+            np.concatenate([at.s for at, _ in places.values()]),
+            np.concatenate([at.modal for at, _ in places.values()]),
+            {
+                pair: np.concatenate([of.get(pair, np.zeros(at.s.size)) for at, of in places.values()])
+                for pair in pairs
+            },
         )
         gradient = self._weights_gradient(stiffness, mass)
-        gradient[-len(LOOP_PARAMETERS) :] = by_loop
+        gradient[self.design.loop_start :] = by_loop
         return gradient
+
+    def _in_order(self, model: LoopModel, parameters: Array) -> Array:
+        """Derivatives for the parameters of a model's loop in the order of `Design.parameters`."""
+        return parameters

@@ -7,7 +7,6 @@ import numpy as np
 from fosopt.ops import Array
 from fosopt.problem.system import Design
 from fosopt.structure import Structure, structural_mass, structure_inertia
-from fosopt.symbolic import LOOP_PARAMETERS
 
 
 def linear_metric(structure: Structure, design: Design, name: str) -> tuple[float, Array]:
@@ -21,7 +20,7 @@ def linear_metric(structure: Structure, design: Design, name: str) -> tuple[floa
         proof = sum(a.mass for a in design.loop.actuators if not a.rotary)
         return (mass + design.mirror_mass + proof if name == "total_mass" else mass), gradient
     own = np.zeros_like(gradient)
-    own[-len(LOOP_PARAMETERS)] = 1.0
+    own[design.loop_start] = 1.0
     mirror = float(design.loop.mirror.inertia)
     if name == "mirror_inertia":
         return mirror, own

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from itertools import product
 from math import inf
 from typing import Any
 
@@ -17,6 +18,7 @@ from fosopt.expressions import Expression, Reference, parse_expression
 from fosopt.ops import Array
 from fosopt.problem.evaluation import BRANCHES, Evaluation
 from fosopt.problem.system import INDEXED, Design, System
+from fosopt.problem.two_axes import evaluation_of
 from fosopt.problem.variables import Definitions, Variable, design_parameters
 from fosopt.symbolic import Differentiable, OracleFunction
 
@@ -69,12 +71,20 @@ class Problem:
     checks: tuple[Constraint, ...] = ()
 
     def __post_init__(self) -> None:
+        if self.system.two_axes != (self.base.loop.beside is not None):
+            raise ModelError(
+                "two axes: the system and the loop differ in how many the mirror has; give both two"
+            )
         names = [v.name for v in self.variables]
         if len(set(names)) < len(names):
             raise ModelError(f"variables: the names {names} are not unique; rename one")
-        quantities = [v.quantity for v in self.variables if not v.groups]
-        for first, second in (("gain", "crossover"), ("mirror_inertia", "mirror_inertia_ratio")):
-            if first in quantities and second in quantities:
+        quantities = [(v.quantity, v.axis) for v in self.variables if not v.groups]
+        axes = {v.axis for v in self.variables}
+        if "second" in axes and not self.system.two_axes:
+            raise ModelError("variables: one is of a second axis, which the mirror has not; remove 'axis'")
+        exclusive = ("gain", "crossover"), ("mirror_inertia", "mirror_inertia_ratio")
+        for (first, second), axis in product(exclusive, axes):
+            if (first, axis) in quantities and (second, axis) in quantities:
                 raise ModelError(f"variables: '{first}' and '{second}' set the same thing; free one of them")
         known = {*self.system.metric_names, *INDEXED, *names}
         for expression in (*self.objectives, *(c.expression for c in self.constraints)):
@@ -146,7 +156,7 @@ class Problem:
     def evaluate(self, x: Array, shift: float = 0.0, truth: bool = False) -> Evaluation:
         """Evaluation of the design at `x`, if asked for on the truth model and with the loop as built."""
         system = replace(self.system.truth, as_built=True) if truth else self.system
-        return Evaluation(system, self.design(x), shift)
+        return evaluation_of(system, self.design(x), shift)
 
     def parameter_jacobian(self, x: Array) -> Array | sparse.csc_array:
         """(p, n) Jacobian of the design parameters; sparse for very many variables."""

@@ -11,6 +11,7 @@ from fosopt.control import Loop
 from fosopt.errors import ModelError
 from fosopt.metrics.disturbances import Disturbance
 from fosopt.metrics.peaks import PEAKS
+from fosopt.metrics.requirement import RequirementLine
 from fosopt.metrics.sequence import Retargeting
 from fosopt.metrics.step import StepCommand
 from fosopt.modes import Damping, Hub, ModalFrame, modal_frame, truncated_frame
@@ -29,6 +30,16 @@ _SCALARS = (
     "spectral_abscissa",
     "modulus_margin",
     "loop_crossover",
+)
+# Of each axis of a mirror with two, and the margin of both loops together.
+BY_AXIS = (
+    "jitter_first_axis",
+    "jitter_second_axis",
+    "modulus_margin_first_axis",
+    "modulus_margin_second_axis",
+    "modulus_margin_multivariable",
+    "loop_crossover_first_axis",
+    "loop_crossover_second_axis",
 )
 # From so many degrees of freedom on, modes come from sparse factorizations and those left out leave their flexibility.
 LARGE = 500
@@ -89,7 +100,9 @@ class System:
     """Everything about a flexible optical system that does not change with the design.
 
     With `as_built`, metrics of a sampled loop are its own, not those of its continuous model. `retargeting` is the
-    sequence on which the mirror's stroke, rate and torque are counted.
+    sequence on which the mirror's stroke, rate and torque are counted, and no optimization knows of `requirement_line`,
+    below which the cumulative jitter of a design is to stay. With `two_axes` the mirror turns about two, each
+    with a loop of its own: then the loop of every design has the other axis beside it.
     """
 
     structure: Structure
@@ -101,8 +114,14 @@ class System:
     selection: ModeSelection = field(default_factory=ModeSelection)
     as_built: bool = False
     retargeting: Retargeting | None = None
+    requirement_line: RequirementLine | None = None
+    two_axes: bool = False
 
     def __post_init__(self) -> None:
+        if self.two_axes and (self.step is not None or self.retargeting is not None):
+            raise ModelError(
+                "two axes: a step command is judged about one axis; remove it, or study one axis at a time"
+            )
         names = [d.name for d in self.disturbances]
         if len(set(names)) < len(names):
             raise ModelError(f"disturbances: the names {names} are not unique; rename one")
@@ -164,6 +183,8 @@ class System:
         jitter = (
             ("jitter_total", *(f"jitter_{d.name}" for d in self.disturbances)) if self.disturbances else ()
         )
+        if self.two_axes:
+            jitter = (*jitter, *(name for name in BY_AXIS if jitter or not name.startswith("jitter_")))
         step = ("step_offset", "step_rms") if self.step else ()
         return (*_SCALARS, *jitter, *step, *(PEAKS if self.retargeting else ()))
 
@@ -190,10 +211,18 @@ class Design:
 
     @property
     def parameters(self) -> Array:
-        """(b + r + s + 8,) areas, batten masses, spring stiffnesses and the `symbolic.LOOP_PARAMETERS`."""
+        """(b + r + s + 8,) areas, batten masses, spring stiffnesses and the `symbolic.LOOP_PARAMETERS`.
+
+        Those of a second axis follow.
+        """
         return np.concatenate(
             [self.area, self.batten_mass, self.spring_stiffness, loop_parameters(self.loop)]
         )
+
+    @property
+    def loop_start(self) -> int:
+        """Where in `parameters` those of the loop begin, the mirror's inertia first."""
+        return self.area.size + self.batten_mass.size + self.spring_stiffness.size
 
     def with_parameters(self, parameters: Array) -> Design:
         """The design with other parameters, in the order of `parameters`."""

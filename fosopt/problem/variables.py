@@ -11,7 +11,7 @@ from scipy import sparse
 
 from fosopt import ops
 from fosopt.actuators import Mirror
-from fosopt.control import gain_for_crossover
+from fosopt.control import SignalPath, gain_for_crossover
 from fosopt.errors import ModelError
 from fosopt.ops import Array
 from fosopt.problem.system import Design, System
@@ -54,6 +54,8 @@ class Variable:
         For areas, batten masses and spring stiffnesses: the indices of the members in each of the g groups.
     labels
         (g,) names of the groups.
+    axis
+        Of a mirror with two axes, the one whose mirror or controller it sets.
     """
 
     name: str
@@ -64,8 +66,13 @@ class Variable:
     log: bool = True
     groups: tuple[tuple[int, ...], ...] = ()
     labels: tuple[str, ...] = ()
+    axis: Literal["first", "second"] = "first"
 
     def __post_init__(self) -> None:
+        if self.axis == "second" and self.quantity in (*_MEMBERS, "mirror_inertia_ratio"):
+            raise ModelError(
+                f"variable '{self.name}': '{self.quantity}' is not about one axis; leave 'axis' out"
+            )
         for low, high, start in zip(self.lower, self.upper, self.start, strict=True):
             if not (np.isfinite(low) and np.isfinite(high) and low < high):
                 raise ModelError(
@@ -101,9 +108,29 @@ class Definitions:
         When given, J_m is this multiple of the structure's inertia about the hub.
     crossover
         When given, the gain is the one that puts the crossover of the rigidly supported mirror here [rad/s].
+    second
+        The same of a second axis.
     """
 
     inertia_ratio: float | None = None
+    crossover: float | None = None
+    second: SecondAxisDefinitions | None = None
+
+
+@dataclass(frozen=True)
+class SecondAxisDefinitions:
+    """What the second axis of a mirror has for itself; all else follows the first axis.
+
+    Attributes
+    ----------
+    own
+        Names of `LOOP_PARAMETERS`. Where the first gain follows a crossover and the second is not its own, it follows
+        the same crossover.
+    crossover
+        As in `Definitions`, of a gain of its own.
+    """
+
+    own: frozenset[str] = frozenset()
     crossover: float | None = None
 
 
@@ -121,11 +148,11 @@ def design_parameters(
 
     Returns
     -------
-    (b + r + s + 8,)
+    (b + r + s + 8,), with a second axis (b + r + s + 16,)
         In the order of `Design.parameters`.
     """
     structure = system.structure
-    values: dict[str, Any] = {}
+    values: dict[str, dict[str, Any]] = {"first": {}, "second": {}}
     members: dict[str, Any] = {name: getattr(base, name) for name in _MEMBERS}
     offset = 0
     for variable in variables:
@@ -137,26 +164,38 @@ def design_parameters(
             fixed = 1.0 - np.asarray(spread.sum(axis=1)).ravel()
             members[variable.quantity] = base_values * fixed + ops.linear(spread, part)
         else:
-            values[variable.quantity] = part[0]
-    loop = dict(zip(LOOP_PARAMETERS, loop_parameters(base.loop), strict=True))
-    for name in ("mirror_inertia", "mirror_frequency", "gain", "kp", "ki", "kd"):
-        loop[name] = values.get(name, loop[name])
-    ratio = values.get("mirror_inertia_ratio", definitions.inertia_ratio)
-    if ratio is not None and "mirror_inertia" not in values:
+            values[variable.axis][variable.quantity] = part[0]
+    known, count = loop_parameters(base.loop), len(LOOP_PARAMETERS)
+    loop = dict(zip(LOOP_PARAMETERS, known[:count], strict=True))
+    ratio = values["first"].get("mirror_inertia_ratio", definitions.inertia_ratio)
+    if ratio is not None:
         loop["mirror_inertia"] = ratio * structure_inertia(structure, members["area"], members["batten_mass"])
-    crossover = values.get("crossover", definitions.crossover)
-    if crossover is not None and "gain" not in values:
-        mirror = Mirror(loop["mirror_inertia"], loop["mirror_frequency"], loop["mirror_damping_ratio"])
-        loop["gain"] = gain_for_crossover(
-            crossover,
-            mirror,
-            loop["kp"],
-            loop["ki"],
-            loop["kd"],
-            loop["rolloff_time"],
-            base.loop.controller.path,
-        )
-    return ops.stack(*members.values(), *(loop[name] for name in LOOP_PARAMETERS))
+    loop |= {name: value for name, value in values["first"].items() if name in loop}
+    crossover = values["first"].get("crossover", definitions.crossover)
+    if "gain" in values["first"]:
+        crossover = None
+    _gain_of_crossover(loop, crossover, base.loop.controller.path)
+    axes = [loop]
+    if base.loop.beside is not None:
+        second = definitions.second or SecondAxisDefinitions()
+        own = dict(zip(LOOP_PARAMETERS, known[count:], strict=True))
+        other = {name: own[name] if name in second.own else loop[name] for name in LOOP_PARAMETERS}
+        other |= {name: value for name, value in values["second"].items() if name in other}
+        if "gain" in second.own:
+            crossover = second.crossover
+        crossover = None if "gain" in values["second"] else values["second"].get("crossover", crossover)
+        _gain_of_crossover(other, crossover, base.loop.beside.controller.path)
+        axes.append(other)
+    return ops.stack(*members.values(), *(axis[name] for axis in axes for name in LOOP_PARAMETERS))
+
+
+def _gain_of_crossover(loop: dict[str, Any], crossover: Any, path: SignalPath) -> None:
+    """Set the gain of a loop's parameters to what puts the crossover here, if it is given."""
+    if crossover is None:
+        return
+    mirror = Mirror(loop["mirror_inertia"], loop["mirror_frequency"], loop["mirror_damping_ratio"])
+    kp, ki, kd, time = (loop[name] for name in ("kp", "ki", "kd", "rolloff_time"))
+    loop["gain"] = gain_for_crossover(crossover, mirror, kp, ki, kd, time, path)
 
 
 def _membership(variable: Variable, count: int) -> sparse.csr_array:

@@ -208,6 +208,10 @@ def open_loop(model: LoopModel, disturbances: Sequence[Disturbance]) -> OpenLoop
     """
     if not disturbances:
         raise ModelError("no disturbance: jitter needs at least one; add it to the system")
+    if model.loop.beside is not None:
+        raise ModelError(
+            "bounds over controllers are those of one loop, the mirror has two; bound each axis alone"
+        )
     loop = replace(model.loop, controller=_OFF)
     off = LoopModel(loop, model.modes, model.mirror_port)
     poles = closed_loop_poles(loop, model.modes, model.mirror_port)

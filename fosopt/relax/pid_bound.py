@@ -125,6 +125,10 @@ def best_pid(
     begin = time.process_time()
     if not 0 < gap < 1:
         raise ModelError(f"gap {gap} must be above zero and below one")
+    if model.loop.beside is not None:
+        raise ModelError(
+            "bounds over controllers are those of one loop, the mirror has two; bound each axis alone"
+        )
     if start is not None and not box.contains(start):
         raise ModelError(f"start {start} is not in {box}; widen the box or leave the start out")
     search = _Search(model, disturbances, box, gap, modulus_margin * (1 - _MARGIN_SLACK))

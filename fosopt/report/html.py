@@ -25,6 +25,7 @@ SCRIPTS = (
     "jitter.js",
     "figures.js",
     "structure.js",
+    "shape.js",
     "plain.js",
     "front.js",
     "tables.js",
@@ -130,6 +131,8 @@ def _without_false_numbers(point: Mapping[str, object]) -> dict[str, object]:
             detail["modes"] = [{**mode, "jitter_share": None} for mode in modes]
         kept["detail"] = detail
     kept["bounds"] = []
+    if isinstance(point.get("requirement_line"), Mapping):
+        kept["requirement_line"] = dict.fromkeys(_mapping(point["requirement_line"]))
     return kept
 
 

@@ -109,6 +109,28 @@ def bar_lengths(truss: Truss) -> Array:
     return np.array([np.linalg.norm(nodes[bar.nodes[1]] - nodes[bar.nodes[0]]) for bar in truss.bars])
 
 
+def motion_at(structure: Structure, places: Sequence[str]) -> sparse.csr_array:
+    """Displacement of nodes, those that battens carry included, and of centers of battens.
+
+    Parameters
+    ----------
+    places
+        (p,) names of nodes or battens.
+
+    Returns
+    -------
+    (dim p, n)
+        The components of each place one below the other, per degree of freedom [m/m] or [m/rad].
+    """
+    frame = _frame(structure.truss)
+    centers = {
+        name: body.seen(np.eye(frame.dim, body.block.shape[0])) for name, body in frame.body_maps.items()
+    }
+    maps = {**centers, **frame.node_maps}
+    rows = frame.rows([[maps[name]] for name in places])
+    return rows[:, [frame.index[name] for name in structure.dofs]]
+
+
 def _rotations(dim: int) -> tuple[str, ...]:
     return ("rz",) if dim == 2 else ROTATIONS
 

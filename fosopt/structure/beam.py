@@ -298,6 +298,30 @@ def assemble_beam(
     )
 
 
+def lateral_motion(structure: Structure, x: Array) -> Array:
+    """Lateral displacement at places along an assembled beam, per coordinate of its modes.
+
+    Shapes of a uniform beam depend on its length, mass and boundary, which an assembled one still has.
+
+    Parameters
+    ----------
+    x
+        (p,) distances from the root [m].
+
+    Returns
+    -------
+    (p, n)
+        [1/√kg], zero for the longitudinal modes.
+    """
+    length = structure.truss.nodes["tip"][0]
+    boundary: Boundary = "fixed" if np.all(structure.stiffness_constant > 0) else "pinned"
+    count = sum(name.startswith("lateral.") for name in structure.dofs)
+    beam = Beam(length, structure.mass_fixed / length, 1.0, 1.0, boundary)
+    motion = np.zeros((x.size, len(structure.dofs)))
+    motion[:, :count] = beam.lateral_modes(count).shape(x).T
+    return motion
+
+
 def _places(beam: Beam, stations: Mapping[str, Station]) -> dict[str, Station]:
     places: dict[str, Station] = {"hub": (0.0, "rz"), "tip": (beam.length, "rz")}
     for name, (x, component) in stations.items():

@@ -1,19 +1,65 @@
-"""A mirror that turns about two axes on one structure: when one loop stands for both."""
+"""A mirror that turns about two axes on one structure: when one loop stands for both, and the second axis if not."""
 
 from __future__ import annotations
 
 import numpy as np
 
+from fosopt.actuators import Mirror
+from fosopt.control import PID, SteeredAxis
 from fosopt.errors import ModelError
 from fosopt.modes.axes import axis_coupling, axis_difference
 from fosopt.ops import Array
-from fosopt.problem import Evaluation, Problem
+from fosopt.problem import Evaluation, Problem, SecondAxisDefinitions
+from fosopt.study.build_loop import controller_of
+from fosopt.study.schema import Study
 from fosopt.study.schema_system import OtherAxis
 
 # Modal constants this far (relative) from what symmetry makes them are rounding, of the model's file included.
 _ALIKE = 1e-6
 
-_WAY_OUT = "one loop cannot stand for both: make structure and groups symmetric, or study one axis without 'other_axis'"
+_WAY_OUT = (
+    "one loop cannot stand for both: close both with 'second_axis' in place of 'other_axis', or make structure and "
+    "groups symmetric"
+)
+
+
+def second_axis(study: Study, mirror: Mirror, controller: PID) -> SteeredAxis | None:
+    """The second axis of a study's mirror, what it leaves out being as about the first.
+
+    Raises
+    ------
+    StudyError
+        For a filter that is not stable or not proper, with its line.
+    """
+    given, first = study.second_axis, study.controller
+    if given is None:
+        return None
+    mirror = Mirror(
+        mirror.inertia if given.inertia is None else given.inertia,
+        mirror.natural_frequency if given.frequency is None else given.frequency,
+        mirror.damping_ratio if given.damping_ratio is None else given.damping_ratio,
+    )
+    if given.controller is not None:
+        controller = controller_of(study, given.controller, mirror, "second_axis", "controller")
+    elif first.crossover is not None:
+        controller = controller_of(study, first, mirror, "controller")
+    return SteeredAxis(given.port, mirror, controller, given.hub)
+
+
+def second_axis_definitions(study: Study) -> SecondAxisDefinitions | None:
+    """What a study's second axis has for itself, so that it does not follow the first."""
+    given = study.second_axis
+    if given is None:
+        return None
+    own = [
+        f"mirror_{key}"
+        for key in ("inertia", "frequency", "damping_ratio")
+        if getattr(given, key) is not None
+    ]
+    if given.controller is None:
+        return SecondAxisDefinitions(frozenset(own))
+    own += ["gain", "kp", "ki", "kd", "rolloff_time"]
+    return SecondAxisDefinitions(frozenset(own), given.controller.crossover)
 
 
 def check_other_axis(given: OtherAxis, problem: Problem, start: Array) -> float:

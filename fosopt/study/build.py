@@ -18,12 +18,14 @@ from fosopt.actuators import (
     Placement,
     ReactionMassActuator,
 )
-from fosopt.control import PID, Loop, gain_for_crossover
+from fosopt.control import Loop, gain_for_crossover
 from fosopt.control.discrete import discrete_controller
+from fosopt.control.free_body import refuse_turning
 from fosopt.errors import FosoptError, StudyError
 from fosopt.expressions import Expression
 from fosopt.metrics import disturbances as shaping
 from fosopt.metrics.peaks import torque_at_once
+from fosopt.metrics.sampled import SampledModel
 from fosopt.metrics.step import StepCommand
 from fosopt.modes import Damping, Hub, modes_below
 from fosopt.ops import Array
@@ -46,11 +48,13 @@ from fosopt.structure import (
     two_body_stiffness,
 )
 from fosopt.structure.imported import ImportedModes
-from fosopt.study import schema, schema_structures, schema_system, schema_truss
-from fosopt.study.axes import check_other_axis
-from fosopt.study.build_loop import mirror_limits, signal_path
-from fosopt.study.files import read_damping, read_psd
+from fosopt.study import schema, schema_structures, schema_truss
+from fosopt.study.axes import check_other_axis, second_axis, second_axis_definitions
+from fosopt.study.build_disturbances import disturbance_of
+from fosopt.study.build_loop import controller_of, mirror_limits
+from fosopt.study.files import read_damping
 from fosopt.study.imports import imported_damping, imported_structure, read_imported, refuse_riding
+from fosopt.study.requirement import requirement_line
 from fosopt.study.schema_imports import Imported
 from fosopt.study.schema_names import MEMBERS
 
@@ -81,7 +85,7 @@ def build_problem(study: schema.Study) -> Problem:
     disturbances = []
     for k, each in enumerate(study.disturbances):
         with _at(study, "disturbances", k):
-            disturbances.append(_disturbance(study, each))
+            disturbances.append(disturbance_of(study, each))
     step = None
     if study.step is not None:
         with _at(study, "step"):
@@ -89,13 +93,17 @@ def build_problem(study: schema.Study) -> Problem:
     with _at(study, "modes"):
         selection = _selection(study, structure, base)
     system = System(structure, study.mirror.port, hub, damping, tuple(disturbances), step, selection)
+    system = replace(system, two_axes=study.second_axis is not None)
     with _at(study, "modes"):
         _ = system.truncated
     variables = tuple(_variable(study, structure, base, k) for k in range(len(study.variables)))
     retargeting, checks = mirror_limits(study)
     # Sweeps optimize nothing: they see the loop as built at once.
     system = replace(system, retargeting=retargeting, as_built=study.kind == "sweep")
-    definitions = Definitions(study.mirror.inertia_ratio, study.controller.crossover)
+    with _at(study, "requirement_line"):
+        system = replace(system, requirement_line=requirement_line(study))
+    crossover, second = study.controller.crossover, second_axis_definitions(study)
+    definitions = Definitions(study.mirror.inertia_ratio, crossover, second)
     constraints = []
     for k, given in enumerate(study.constraints):
         with _at(study, "constraints", k):
@@ -144,9 +152,18 @@ def _check_start(study: schema.Study, problem: Problem) -> None:
     if study.mirror.other_axis is not None:
         with _at(study, "mirror", "other_axis"):
             check_other_axis(study.mirror.other_axis, problem, start_vector(study, problem))
+    with _at(study, "placement"):
+        refuse_turning(evaluation.design.loop, evaluation.modes, problem.system.mirror_port)
     for k, disturbance in enumerate(problem.system.disturbances):
         with _at(study, "disturbances", k):
             shaping.refuse_infinite_variance(disturbance, evaluation.design.loop, drifting)
+    if study.controller.sampling is not None:
+        sampled = SampledModel(evaluation.design.loop, evaluation.modes, problem.system.mirror_port)
+        with _at(study, "controller", "sampling"):
+            _ = sampled.bare
+        for k, disturbance in enumerate(problem.system.disturbances):
+            with _at(study, "disturbances", k):
+                replace(sampled, disturbances=(disturbance,)).refuse_infinite()
 
 
 def _structure(
@@ -209,7 +226,7 @@ def _truss(given: schema_truss.BarkerTruss | schema_truss.Truss) -> Truss:
 
 
 def _base(study: schema.Study, structure: Structure) -> Design:
-    given, pid = study.mirror, study.controller
+    given = study.mirror
     area, batten_mass = structure.area, structure.batten_mass
     mass = float(structural_mass(structure, area, batten_mass))
     if given.mass is not None:
@@ -229,12 +246,8 @@ def _base(study: schema.Study, structure: Structure) -> Design:
         shares = given.reaction_mass
         counter = None if shares is None else MirrorReactionMass(**shares.model_dump())
         mirror = Mirror(inertia, frequency, given.damping_ratio, counter)
-    lag = 1 / pid.rolloff if pid.rolloff is not None else 0.0
-    path, gain = signal_path(study), pid.gain
-    if gain is None:
-        gain = float(gain_for_crossover(pid.crossover, mirror, pid.kp, pid.ki, pid.kd, lag, path))
-    controller = PID(gain, pid.kp, pid.ki, pid.kd, lag, path)
-    if path.sampling is not None:
+    controller = controller_of(study, study.controller, mirror, "controller")
+    if controller.path.sampling is not None:
         with _at(study, "controller", "sampling"):
             discrete_controller(controller)
     elif (
@@ -244,7 +257,8 @@ def _base(study: schema.Study, structure: Structure) -> Design:
             "without a roll-off of the derivative a step asks for an infinite torque; add 'rolloff' to the controller",
             *("limits", "torque"),
         )
-    loop = Loop(mirror, controller, _placement(study, structure), tuple(_actuators(study, structure)))
+    actuators, beside = tuple(_actuators(study, structure)), second_axis(study, mirror, controller)
+    loop = Loop(mirror, controller, _placement(study, structure), actuators, beside)
     return Design(area, batten_mass, structure.spring_stiffness, mirror_mass, loop)
 
 
@@ -333,46 +347,19 @@ def _rigid_crossover(loop: Loop) -> float:
     return float(frequency[needed <= pid.gain].max(initial=0.0))
 
 
-def _disturbance(study: schema.Study, given: schema_system.Disturbance) -> shaping.Disturbance:
-    band = given.band or (0.0, inf)
-    if given.filter is None:
-        table = read_psd(study, given)
-        return shaping.Disturbance(
-            given.name,
-            given.at,
-            None,
-            np.array(table.frequency),
-            np.array(table.psd),
-            band,
-            table.interpolation,
-        )
-    return shaping.Disturbance(given.name, given.at, _filter(given.filter), band=band)
-
-
-def _filter(given: Any) -> shaping.ShapingFilter:
-    if given.type == "low_pass":
-        return shaping.low_pass(given.corner, given.rms, given.order)
-    if given.type == "high_pass":
-        return shaping.high_pass(given.corner, given.density, given.order)
-    if given.type == "band_pass":
-        return shaping.band_pass(given.lower, given.upper, given.rms, given.order)
-    if given.type == "white":
-        return shaping.white(given.density)
-    return shaping.ShapingFilter(given.numerator, given.denominator)
-
-
 def _variable(study: schema.Study, structure: Structure, base: Design, k: int) -> Variable:
     given = study.variables[k]
     log = given.scale == "log"
     if given.quantity not in MEMBERS:
         start = given.start
         if start is None:
-            start = study.given(given.quantity)
+            start = study.given(given.quantity, given.of_second_axis)
         if start is None:
             raise study.error(f"'{given.quantity}' has no start; add 'start' to the variable", "variables", k)
         with _at(study, "variables", k):
             lower, upper, first = (np.array([v], dtype=float) for v in (given.lower, given.upper, start))
-            return Variable(given.name, given.quantity, lower, upper, first, log)
+            found = Variable(given.name, given.quantity, lower, upper, first, log)
+            return replace(found, axis="second") if given.of_second_axis else found
     groups, labels = _groups(study, structure, k)
     values = getattr(base, given.quantity)
     starts = [given.start if given.start is not None else float(np.mean(values[list(g)])) for g in groups]

@@ -4,10 +4,13 @@ from __future__ import annotations
 
 from typing import Literal
 
+from fosopt.actuators import Mirror
 from fosopt.control import (
+    PID,
     Filter,
     Sampling,
     SignalPath,
+    gain_for_crossover,
     lead_lag_filter,
     low_pass_filter,
     notch_filter,
@@ -18,23 +21,31 @@ from fosopt.metrics.sequence import Retargeting
 from fosopt.problem import Constraint
 from fosopt.study.schema import Study
 from fosopt.study.schema_loop import LeadLag, LoopFilter, LoopLowPass, LoopSampling, Notch
+from fosopt.study.schema_system import Controller
 
 
-def signal_path(study: Study) -> SignalPath:
-    """Filters and sampling of a study's controller.
+def controller_of(study: Study, given: Controller, mirror: Mirror, *at: str) -> PID:
+    """The controller that stands at a place of a study, for its mirror.
 
     Raises
     ------
     StudyError
         For a filter that is not stable or not proper, with its line.
     """
-    given = study.controller
+    path, gain = _signal_path(study, given, *at), given.gain
+    lag = 1 / given.rolloff if given.rolloff is not None else 0.0
+    if gain is None:
+        gain = float(gain_for_crossover(given.crossover, mirror, given.kp, given.ki, given.kd, lag, path))
+    return PID(gain, given.kp, given.ki, given.kd, lag, path)
+
+
+def _signal_path(study: Study, given: Controller, *at: str) -> SignalPath:
     filters = []
     for k, each in enumerate(given.filters):
         try:
             filters.append(loop_filter(each))
         except ModelError as error:
-            raise study.error(str(error), "controller", "filters", k) from error
+            raise study.error(str(error), *at, "filters", k) from error
     analog = given.anti_alias
     anti_alias = () if analog is None else (low_pass_filter(analog.corner, analog.order),)
     return SignalPath(

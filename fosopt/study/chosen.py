@@ -15,7 +15,7 @@ from fosopt.errors import ModelError, StudyError, did_you_mean
 from fosopt.export.systems import write_systems
 from fosopt.export.truss import DesignedTruss
 from fosopt.interchange import systems
-from fosopt.problem import Evaluation
+from fosopt.problem import Evaluation, evaluation_of
 from fosopt.study.build import build_problem, start_vector
 from fosopt.study.directory import run_header
 from fosopt.study.load import load_study
@@ -200,7 +200,7 @@ def _of_sweep(store: Store, header: Mapping[str, Any], key: str | None) -> Chose
     row = points.row(points.rows(number, number + 1)[0])
     try:
         found = bench(study, row)
-        evaluation = Evaluation(found.system, found.design(row))
+        evaluation = evaluation_of(found.system, found.design(row))
     except ModelError as error:
         raise StudyError(f"point {number}: {error}") from None
     return ChosenDesign(evaluation, str(number), f"{study.name}: point {number}", None, header["provenance"])

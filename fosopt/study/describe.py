@@ -7,13 +7,14 @@ from collections.abc import Iterable, Iterator
 from fosopt.expressions import Expression, parse_expression
 from fosopt.study.schema import Study, Variable
 from fosopt.study.schema_actuators import Actuator
+from fosopt.study.schema_axes import SecondAxis
 from fosopt.study.schema_certificates import Certificates
 from fosopt.study.schema_imports import structure_files
 from fosopt.study.schema_names import MEMBERS, SIGNAL
 from fosopt.study.schema_rules import dimension_of, expression_dimension, variable_dimension
 from fosopt.study.schema_structures import Structure
 from fosopt.study.schema_sweep import AXES, Sweep
-from fosopt.study.schema_system import Disturbance, Filter
+from fosopt.study.schema_system import Controller, Disturbance, Filter
 from fosopt.units import DIMENSIONS, HZ, dimension_name, display, show
 
 _INDENT = "  "
@@ -29,7 +30,7 @@ def describe_study(study: Study) -> list[str]:
         lines += ["", *_block("problem" if study.kind == "codesign" else "analysis", _problem(study))]
         lines += ["", *_block("variables", (_variable(study, each) for each in study.variables))]
     lines += ["", *_block("system", _system(study))]
-    lines += ["", *_block("disturbances", (_disturbance(each) for each in study.disturbances))]
+    lines += ["", *_block("disturbances", (_disturbance(study, each) for each in study.disturbances))]
     return lines
 
 
@@ -128,7 +129,8 @@ def _variable(study: Study, variable: Variable) -> str:
     only = getattr(variable, "kinds", None) or getattr(variable, "components", None)
     parts = [bounds, f"start {start}", f"{variable.scale} scale"]
     if variable.name != variable.quantity:
-        parts.append(f"the {variable.quantity.replace('_', ' ')}")
+        axis = " about the second axis" if variable.of_second_axis else ""
+        parts.append(f"the {variable.quantity.replace('_', ' ')}{axis}")
     if groups:
         parts.append(
             "one per group: "
@@ -147,7 +149,7 @@ def _start(study: Study, variable: Variable) -> str:
         return f"from {len(given)} values of the design"
     value = given if given is not None else variable.start
     if value is None and variable.quantity not in MEMBERS:
-        value = study.given(variable.quantity)
+        value = study.given(variable.quantity, variable.of_second_axis)
     return "from the structure" if value is None else show(value, variable_dimension(study, variable))
 
 
@@ -185,13 +187,9 @@ def _system(study: Study) -> Iterator[str]:
             f"            reactionless: inertia {shares.inertia_ratio:g}, stiffness {shares.stiffness_ratio:g} and "
             f"torque {shares.torque_ratio:g} of the mirror's"
         )
-    gain = f"gain {show(controller.gain, 'control_gain')}" if controller.gain is not None else ""
-    gain = (
-        f"crossover {show(controller.crossover, 'frequency')}" if controller.crossover is not None else gain
-    )
-    rolloff = f", roll-off {show(controller.rolloff, 'frequency')}" if controller.rolloff is not None else ""
-    terms = f"kd {controller.kd:g}, kp {controller.kp:g}, ki {controller.ki:g}"
-    yield f"controller  K(s) = gain (kd s² + kp s + ki)/s: {terms}, {gain}{rolloff}"
+    yield f"controller  K(s) = gain (kd s² + kp s + ki)/s: {_controller(controller)}"
+    if study.second_axis is not None:
+        yield f"second axis {_second_axis(study.second_axis)}"
     place = study.placement
     if place is not None:
         named = {key: port for key, port in place.model_dump().items() if port is not None}
@@ -201,6 +199,25 @@ def _system(study: Study) -> Iterator[str]:
     if study.step is not None:
         start, end = (show(1e3 * time, "ratio") for time in study.step.window)
         yield f"step        {show(study.step.command, 'angle')}, judged from {start} to {end} ms"
+
+
+def _controller(controller: Controller) -> str:
+    gain = f"gain {show(controller.gain, 'control_gain')}" if controller.gain is not None else ""
+    gain = (
+        f"crossover {show(controller.crossover, 'frequency')}" if controller.crossover is not None else gain
+    )
+    rolloff = f", roll-off {show(controller.rolloff, 'frequency')}" if controller.rolloff is not None else ""
+    return f"kd {controller.kd:g}, kp {controller.kp:g}, ki {controller.ki:g}, {gain}{rolloff}"
+
+
+def _second_axis(given: SecondAxis) -> str:
+    parts = [f"both loops are closed; the mirror at port {given.port}"]
+    parts += [f"hub at port {given.hub}"] if given.hub is not None else []
+    parts += [f"inertia {show(given.inertia, 'inertia')}"] if given.inertia is not None else []
+    parts += [f"flexure at {show(given.frequency, 'frequency')}"] if given.frequency is not None else []
+    parts += [f"damping ratio {given.damping_ratio:g}"] if given.damping_ratio is not None else []
+    parts += [f"controller {_controller(given.controller)}"] if given.controller is not None else []
+    return ", ".join([*parts, "the rest as about the first"])
 
 
 def _actuator(actuator: Actuator) -> str:
@@ -264,7 +281,7 @@ def _modes(study: Study) -> str:
     )
 
 
-def _disturbance(disturbance: Disturbance) -> str:
+def _disturbance(study: Study, disturbance: Disturbance) -> str:
     spectrum = (
         f"{'PSD' if disturbance.psd else 'cumulative rms'} of {disturbance.table}"
         if disturbance.filter is None
@@ -276,7 +293,11 @@ def _disturbance(disturbance: Disturbance) -> str:
         band = f"{lower:.6g} to {upper:.6g} Hz"
     elif disturbance.table is not None:
         band = "the table's range"
-    return f"{disturbance.name}: {disturbance.at.replace('_', ' ')}, {spectrum}, over {band}"
+    about = ""
+    if study.second_axis is not None:
+        both = disturbance.axis in (None, "both")
+        about = " about both axes, independent" if both else f" about the {disturbance.axis} axis"
+    return f"{disturbance.name}: {disturbance.at.replace('_', ' ')}{about}, {spectrum}, over {band}"
 
 
 def _filter(spectrum: Filter, at: str) -> str:

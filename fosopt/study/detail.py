@@ -5,7 +5,7 @@ Curves are computed finely enough for every resonance and then kept at what can 
 
 from __future__ import annotations
 
-from math import pi
+from math import pi, sqrt
 from typing import Any
 
 import numpy as np
@@ -16,14 +16,18 @@ from fosopt.control.loop_phase import loop_phase, loop_transfer_roots
 from fosopt.control.phase import resonance_grid
 from fosopt.errors import SolverError
 from fosopt.metrics import inertias
+from fosopt.metrics.axes import AXES
+from fosopt.metrics.functional import LoopModel
 from fosopt.metrics.margins import frequency_grid
-from fosopt.metrics.spectrum import JitterSpectrum, jitter_spectrum
+from fosopt.metrics.requirement import line_verdict
+from fosopt.metrics.spectrum import JitterSpectrum, axis_spectrum, jitter_spectrum
 from fosopt.metrics.transient import Transient, step_error
 from fosopt.ops import Array, ComplexArray
-from fosopt.problem import Evaluation
+from fosopt.problem import Evaluation, TwoAxisEvaluation
 from fosopt.structure import Structure, Truss
 from fosopt.study.curves import visible
 from fosopt.study.sampled_curves import as_sampled, resolved, step_between_samples
+from fosopt.study.shapes import kind_of, mode_shapes
 
 _MODES = 40  # rows of the mode table: the lowest ones
 _GRID = 240  # frequencies of a curve beside those at its resonances
@@ -37,7 +41,10 @@ _PER_PERIOD, _MOST, _VISIBLE = 12, 20_000, 1e-3
 
 
 def detail_of(evaluation: Evaluation) -> dict[str, Any]:
-    """The ``detail`` of a point of the run data; curves that an unstable loop does not have are left out."""
+    """The ``detail`` of a point of the run data; curves that an unstable loop does not have are left out.
+
+    Its ``requirement_line``, a `LineVerdict`, is no curve: it goes elsewhere.
+    """
     structure = evaluation.system.structure
     found: dict[str, Any] = {
         "truss": _truss(structure.truss, evaluation.design.area),
@@ -54,12 +61,17 @@ def detail_of(evaluation: Evaluation) -> dict[str, Any]:
         "by_mode": None,
         "step": None,
         "sampling_rate_hz": None,
+        "requirement_line": None,
     }
+    found["shapes"] = mode_shapes(evaluation, _MODES, [place["at"] for place in found["places"]])
     if evaluation.sampled is not None:
         found["sampling_rate_hz"] = 1 / evaluation.sampled.model.bare.period
     if evaluation.stable:
-        names = [f"jitter_{d.name}" for d in evaluation.system.disturbances]
-        found["jitter"] = {name.removeprefix("jitter_"): evaluation.value(name) for name in names}
+        if evaluation.sampled is None:
+            found["jitter"] = {name: sqrt(square) for name, square in _squares(evaluation).items()}
+        else:
+            names = [d.name for d in evaluation.system.disturbances]
+            found["jitter"] = {name: evaluation.value(f"jitter_{name}") for name in names}
         found["step"] = _step(evaluation)
     # Spectra are those of the continuous model, which of a sampled loop may be unstable by itself.
     if evaluation.stable and evaluation.poles.spectral_abscissa < 0:
@@ -90,10 +102,8 @@ def _truss(truss: Truss, area: Array) -> dict[str, Any] | None:
 
 def _plain_structure(structure: Structure) -> dict[str, Any] | None:
     """A beam or a chain, which have no bars; None of a truss, and of an imported model, which has no picture."""
-    truss = structure.truss
-    if truss.bars or truss.battens:
-        return None
-    if structure.dofs[0].startswith("lateral."):
+    truss, kind = structure.truss, kind_of(structure)
+    if kind == "beam":
         stations = {name: float(xyz[0]) for name, xyz in truss.nodes.items()}
         return {
             "kind": "beam",
@@ -101,8 +111,7 @@ def _plain_structure(structure: Structure) -> dict[str, Any] | None:
             "stations": stations,
             "held": not np.any(structure.stiffness_constant == 0),
         }
-    turning = {f"{name}.rz" for name in truss.nodes}
-    if not set(structure.dofs) <= turning or structure.stiffness_constant.size != len(turning) - 1:
+    if kind != "chain":
         return None
     return {
         "kind": "chain",
@@ -185,20 +194,47 @@ def _with_shares(rows: list[dict[str, Any]], evaluation: Evaluation, found: Jitt
 
 
 def _bode(evaluation: Evaluation) -> dict[str, list[float] | None]:
-    """Loop transfer and sensitivities; no phase where a zero of the loop cannot be found."""
-    model, loop = evaluation.model, evaluation.design.loop
-    grid = frequency_grid(model, evaluation.poles, _GRID)
-    roots: tuple[ComplexArray, ComplexArray] | None
-    try:
-        roots = loop_transfer_roots(loop, evaluation.modes, model.mirror_port)
-        grid = np.union1d(grid, resonance_grid(np.concatenate(roots), grid[0], grid[-1], 2))
-    except SolverError:
-        roots = None
+    """Loop transfer and sensitivities, about each axis where there are two.
+
+    No phase where a zero of the loop cannot be found.
+    """
+    models = evaluation.models if isinstance(evaluation, TwoAxisEvaluation) else (evaluation.model,)
+    grid = frequency_grid(models[0], evaluation.poles, _GRID)
+    ends, every = (grid[0], grid[-1]), [_roots(model) for model in models]
+    for roots in every:
+        if roots is not None:
+            grid = np.union1d(grid, resonance_grid(np.concatenate(roots), *ends, 2))
     if evaluation.sampled is not None:
         grid = resolved(evaluation.sampled.model, grid)
+    loops = [_loop_curves(evaluation, *each, grid) for each in zip(models, every, strict=True)]
+    transfers, phases = [loop[0] for loop in loops], [loop[-1] for loop in loops if loop[-1] is not None]
+    levels = [20 * np.log10(np.maximum(curve, 1e-300)) for loop in loops for curve in loop[1:3]]
+    both = np.maximum(levels, -_FLOOR)
+    levels_of_loops = 20 * np.log10(np.maximum(transfers, 1e-300))
+    kept = visible(np.log10(grid), levels_of_loops, both, *([np.array(phases)] if phases else []))
+    names = "loop_magnitude", "sensitivity", "complementary_sensitivity", "loop_phase_deg"
+    found: dict[str, list[float] | None] = {"frequency_hz": _short(grid[kept] / (2 * pi))}
+    for axis, loop in zip(("", "second_axis_"), loops, strict=False):
+        for name, curve in zip(names, loop, strict=True):
+            found[f"{axis}{name}"] = None if curve is None else _short(curve[kept])
+    return found
+
+
+def _roots(model: LoopModel) -> tuple[ComplexArray, ComplexArray] | None:
+    """Zeros and poles of the loop transfer, if they can be found."""
+    try:
+        return loop_transfer_roots(model.loop, model.modes, model.mirror_port)
+    except SolverError:
+        return None
+
+
+def _loop_curves(
+    evaluation: Evaluation, model: LoopModel, roots: tuple[ComplexArray, ComplexArray] | None, grid: Array
+) -> tuple[Array, Array, Array, Array | None]:
+    """|L|, |S|, |T| and the phase of L [deg]."""
     s = 1j * grid
     g = model.points(s).g
-    transfer = loop_transfer(loop, s, g)
+    transfer = loop_transfer(model.loop, s, g)
     phase = None
     if roots is not None:
         try:
@@ -207,24 +243,13 @@ def _bode(evaluation: Evaluation) -> dict[str, list[float] | None]:
             phase = None
     if evaluation.sampled is None:
         responses = (
-            closed_loop_response("line_of_sight", loop, s, g),
-            closed_loop_response("command", loop, s, g),
+            closed_loop_response("line_of_sight", model.loop, s, g),
+            closed_loop_response("command", model.loop, s, g),
         )
     else:
         transfer, phase = as_sampled(evaluation.sampled.model, grid, transfer, phase)
         responses = 1 / (1 + transfer), transfer / (1 + transfer)
-    curves = [np.abs(curve) for curve in (transfer, *responses)]
-    loop_level, *levels = (20 * np.log10(np.maximum(curve, 1e-300)) for curve in curves)
-    both = np.maximum(levels, -_FLOOR)
-    kept = visible(np.log10(grid), loop_level, both, *([] if phase is None else [phase]))
-    magnitude, sensitivity, complementary = (_short(curve[kept]) for curve in curves)
-    return {
-        "frequency_hz": _short(grid[kept] / (2 * pi)),
-        "loop_magnitude": magnitude,
-        "loop_phase_deg": None if phase is None else _short(phase[kept]),
-        "sensitivity": sensitivity,
-        "complementary_sensitivity": complementary,
-    }
+    return np.abs(transfer), np.abs(responses[0]), np.abs(responses[1]), phase
 
 
 # ---- jitter ----
@@ -235,18 +260,36 @@ def _jitter(evaluation: Evaluation, rows: list[dict[str, Any]]) -> dict[str, Any
     disturbances = evaluation.system.disturbances
     if not disturbances:
         return {}
-    found = jitter_spectrum(evaluation.model, evaluation.poles, disturbances)
-    _with_shares(rows, evaluation, found)
+    line = evaluation.system.requirement_line
+    marks = np.zeros(0) if line is None else line.frequency
+    if isinstance(evaluation, TwoAxisEvaluation):
+        found = axis_spectrum(evaluation.models, evaluation.poles, disturbances, marks)
+    else:
+        found = jitter_spectrum(evaluation.model, evaluation.poles, disturbances, marks)
+        _with_shares(rows, evaluation, found)
     total = found.by_source.sum(axis=0)
     slow = np.abs(evaluation.poles.all).min()
     shown = (found.frequency >= 0.1 * slow) & (found.frequency <= 20 * np.abs(evaluation.poles.all).max())
     shown &= total > 0
-    names = [d.name for d in disturbances]
+    exact = _squares(evaluation)
     return {
-        "spectrum": _spectrum(found, names, shown),
-        "cumulative": _cumulative(evaluation, found, names, shown),
-        "by_mode": _by_mode(found, shown),
+        "spectrum": _spectrum(found, list(exact), shown),
+        "cumulative": _cumulative(exact, found, shown),
+        "by_mode": _by_mode(found, shown) if found.pole.size else None,
+        "requirement_line": None if line is None else line_verdict(found, line),
     }
+
+
+def _squares(evaluation: Evaluation) -> dict[str, float]:
+    """Mean square jitter of each disturbance, about each axis where there are two [rad²]."""
+    disturbances = evaluation.system.disturbances
+    if isinstance(evaluation, TwoAxisEvaluation):
+        return {
+            f"{d.name}, {axis} axis": share.value
+            for d, shares in zip(disturbances, evaluation.shares, strict=True)
+            for axis, share in zip(AXES, shares, strict=True)
+        }
+    return {d.name: evaluation.variances[f"jitter_{d.name}"].value for d in disturbances}
 
 
 def _spectrum(found: JitterSpectrum, names: list[str], shown: NDArray[np.bool_]) -> dict[str, list[float]]:
@@ -260,10 +303,16 @@ def _spectrum(found: JitterSpectrum, names: list[str], shown: NDArray[np.bool_])
 
 
 def _cumulative(
-    evaluation: Evaluation, found: JitterSpectrum, names: list[str], shown: NDArray[np.bool_]
+    sources: dict[str, float], found: JitterSpectrum, shown: NDArray[np.bool_]
 ) -> dict[str, list[float]]:
-    """Root of the mean square jitter below each frequency, by source and in total [rad]."""
-    exact = np.array([evaluation.variances[f"jitter_{name}"].value for name in names])
+    """Root of the mean square jitter below each frequency, by source and in total [rad].
+
+    Parameters
+    ----------
+    sources
+        Mean square of each [rad²].
+    """
+    exact = np.array(list(sources.values()))
     # The quadrature agrees to many digits; the last point is the number that stands in the tables.
     share = exact / np.maximum(found.by_source[:, -1], 1e-300)
     squares = found.by_source[:, shown] * share[:, None]
@@ -271,7 +320,7 @@ def _cumulative(
     curves = np.sqrt(np.maximum(np.vstack([squares, squares.sum(axis=0)]), 0.0))
     grid = found.frequency[shown]
     kept = visible(np.log10(grid), curves)
-    return _table(grid[kept], [*names, "total"], curves[:, kept])
+    return _table(grid[kept], [*sources, "total"], curves[:, kept])
 
 
 def _by_mode(found: JitterSpectrum, shown: NDArray[np.bool_]) -> dict[str, Any]:

@@ -8,8 +8,9 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
-from fosopt.errors import StudyError
+from fosopt.errors import StudyError, printable
 from fosopt.export import write_csv, write_json
+from fosopt.export.columns import provenance_of
 from fosopt.problem import Problem
 from fosopt.report import write_report
 from fosopt.study.files import read_requirement_line, side_files
@@ -164,6 +165,8 @@ def write_files(study: Study, run: Mapping[str, Any], out: Path) -> None:
     write_json(run, out / "front.json")
     designs = out / "designs"
     designs.mkdir(exist_ok=True)
+    # A comment holds no line break and no control character, whatever a --set or a file's name had of them.
+    origin = printable(provenance_of(run))
     inside = _renamed(study, lambda name: f"../{name}")
     for point in run["points"]:
         single = inside.model_copy(
@@ -176,5 +179,6 @@ def write_files(study: Study, run: Mapping[str, Any], out: Path) -> None:
                 "solve": study.solve.model_copy(update={"compare": ()}),
             }
         )
-        (designs / f"{point['key']}.yaml").write_text(dump_study(single), encoding="utf-8")
+        text = f"# {origin}\n{dump_study(single)}"
+        (designs / f"{point['key']}.yaml").write_text(text, encoding="utf-8", errors="backslashreplace")
     write_report(run, out / "report.html")

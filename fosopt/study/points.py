@@ -17,6 +17,7 @@ from fosopt.solve import Outcome
 from fosopt.solve.front import objective_value
 from fosopt.solve.strategies import Goal
 from fosopt.study.detail import detail_of
+from fosopt.study.requirement import line_entry
 from fosopt.study.schema import Study
 from fosopt.study.schema_certificates import Certificates
 
@@ -107,6 +108,7 @@ def _point(
 ) -> dict[str, Any]:
     sound = certificate.stable and status in ("optimal", "evaluated")
     verified = certificate.verified if status == "optimal" else sound and not _doubts(certificate)
+    detail = detail_of(problem.evaluate(x, truth=True))
     entries: Sequence[Entry] = ()
     if bounds is not None and verified:
         entries = _account(problem, x, constraints, bounds)
@@ -144,13 +146,15 @@ def _point(
                 "slack": c.slack,
                 "multiplier": c.multiplier,
                 "active": c.active,
+                "met": not c.violated,
                 "statement": None,
             }
             for c in certificate.constraints
         ],
         "bounds": [_entry(entry) for entry in entries],
         "history": history or [],
-        "detail": detail_of(problem.evaluate(x, truth=True)),
+        "requirement_line": line_entry(problem.system.requirement_line, detail.pop("requirement_line")),
+        "detail": detail,
     }
 
 

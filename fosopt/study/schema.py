@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Annotated, Any, Literal, Self
+from typing import Annotated, Any, Literal, Self, cast
 
 from pydantic import Field, ModelWrapValidatorHandler, PrivateAttr, Tag, model_validator
 
 from fosopt.errors import StudyError
 from fosopt.study.schema_actuators import Actuator, Placement
+from fosopt.study.schema_axes import SecondAxis
 from fosopt.study.schema_base import (
     ONE_OR_LIST,
     TEXT_OR_LIST,
@@ -76,6 +77,11 @@ class _Variable(Section):
     def is_scalar(self) -> bool:
         """Whether it has one value, whatever the structure."""
         return True
+
+    @property
+    def of_second_axis(self) -> bool:
+        """Whether it is set about a second axis alone."""
+        return False
 
     @model_validator(mode="after")
     def _check_bounds(self) -> Self:
@@ -146,7 +152,17 @@ class SpringStiffnessVariable(_MemberVariable):
     start: Stiffness | None = None
 
 
-class MirrorInertiaVariable(_Variable):
+class _AxisVariable(_Variable):
+    axis: Literal["second"] | None = None
+    """`second` sets it about the second axis alone; left out, about the first, and the second where that has no own."""
+
+    @property
+    def of_second_axis(self) -> bool:
+        """Whether it is set about a second axis alone."""
+        return self.axis is not None
+
+
+class MirrorInertiaVariable(_AxisVariable):
     """The mirror's inertia."""
 
     quantity: Literal["mirror_inertia"]
@@ -164,7 +180,7 @@ class MirrorInertiaRatioVariable(_Variable):
     start: PositiveRatio | None = None
 
 
-class FrequencyVariable(_Variable):
+class FrequencyVariable(_AxisVariable):
     """The mirror's flexure frequency, or the crossover that sets the gain."""
 
     quantity: Literal["mirror_frequency", "crossover"]
@@ -173,7 +189,7 @@ class FrequencyVariable(_Variable):
     start: PositiveFrequency | None = None
 
 
-class GainVariable(_Variable):
+class GainVariable(_AxisVariable):
     """The gain of the controller."""
 
     quantity: Literal["gain"]
@@ -182,7 +198,7 @@ class GainVariable(_Variable):
     start: Gain | None = None
 
 
-class ProportionalVariable(_Variable):
+class ProportionalVariable(_AxisVariable):
     """The proportional gain kp."""
 
     quantity: Literal["kp"]
@@ -191,7 +207,7 @@ class ProportionalVariable(_Variable):
     start: ProportionalGain | None = None
 
 
-class IntegralVariable(_Variable):
+class IntegralVariable(_AxisVariable):
     """The integral gain ki."""
 
     quantity: Literal["ki"]
@@ -200,7 +216,7 @@ class IntegralVariable(_Variable):
     start: IntegralGain | None = None
 
 
-class DerivativeVariable(_Variable):
+class DerivativeVariable(_AxisVariable):
     """The derivative gain kd."""
 
     quantity: Literal["kd"]
@@ -335,6 +351,8 @@ class Study(Section):
     """The fast steering mirror."""
     controller: Controller
     """The controller of the mirror."""
+    second_axis: SecondAxis | None = None
+    """A second axis of the mirror, which the structure couples to the first; none if left out."""
     placement: Placement | None = None
     """Where the loop acts, reacts and senses; bicollocated if left out."""
     actuators: tuple[Actuator, ...] = ()
@@ -365,7 +383,7 @@ class Study(Section):
     """Largest allowed value of a metric, by its name; the report says which are met."""
     requirement_line: Label | None = None
     """CSV file (`frequency_hz,cumulative_rms_urad`) of the most jitter may have accumulated below each
-    frequency."""
+    frequency; judged, and no constraint."""
     design: dict[Identifier, Values] = Field(default_factory=dict)
     """Values of variables by name, one per group: the design to judge, or to start from."""
 
@@ -399,8 +417,13 @@ class Study(Section):
         """The variable of this name, if there is one."""
         return next((variable for variable in self.variables if variable.name == name), None)
 
-    def given(self, quantity: str) -> float | None:
+    def given(self, quantity: str, second_axis: bool = False) -> float | None:
         """Value of a scalar quantity in the sections of the system; None where another one fixes it."""
-        section = self.controller if quantity in ("gain", "crossover", "kp", "ki", "kd") else self.mirror
-        value: float | None = getattr(section, quantity.removeprefix("mirror_"))
-        return value
+        of_controller = quantity in ("gain", "crossover", "kp", "ki", "kd")
+        key = quantity.removeprefix("mirror_")
+        second = self.second_axis if second_axis else None
+        if second is not None and of_controller and second.controller is not None:
+            return cast(float | None, getattr(second.controller, key))
+        if second is not None and not of_controller and getattr(second, key) is not None:
+            return cast(float | None, getattr(second, key))
+        return cast(float | None, getattr(self.controller if of_controller else self.mirror, key))

@@ -182,18 +182,6 @@ def check_loop(study: Study) -> None:
                 )
     if sampling is None:
         return
-    if study.hub.type == "free":
-        raise RuleError(
-            "a free hub drifts between samples; write 'type: held' with a bandwidth, or 'fixed'",
-            "hub",
-            "type",
-        )
-    if study.sweep is not None and study.sweep.boundary is not None:
-        raise RuleError(
-            "boundaries are found on a continuous loop; remove 'boundary', or 'sampling' from the controller",
-            *("sweep", "boundary"),
-            of_key=True,
-        )
     _check_sampling(study, sampling)
     if controller.kd and not controller.rolloff and sampling.derivative == "trapezoidal":
         raise RuleError(

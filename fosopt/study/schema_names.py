@@ -97,6 +97,34 @@ METRICS: dict[str, Metric] = {
 }
 """Every metric but ``jitter_<disturbance>``."""
 
+BY_AXIS: dict[str, Metric] = {
+    "jitter_first_axis": Metric(
+        "angle", "jitter about the first axis", "Rms line-of-sight error about it, root sum square."
+    ),
+    "jitter_second_axis": Metric(
+        "angle", "jitter about the second axis", "Rms line-of-sight error about it, root sum square."
+    ),
+    "modulus_margin_first_axis": Metric(
+        "ratio", "modulus margin, first axis", "Of the loop about it, with the other one closed."
+    ),
+    "modulus_margin_second_axis": Metric(
+        "ratio", "modulus margin, second axis", "Of the loop about it, with the other one closed."
+    ),
+    "modulus_margin_multivariable": Metric(
+        "ratio",
+        "modulus margin, both loops at once",
+        "Least singular value of one plus the loop transfer matrix; no gradient.",
+    ),
+    "loop_crossover_first_axis": Metric(
+        "frequency", "loop crossover, first axis", "Of the loop about it, with the other one closed."
+    ),
+    "loop_crossover_second_axis": Metric(
+        "frequency", "loop crossover, second axis", "Of the loop about it, with the other one closed."
+    ),
+}
+"""Metrics of a mirror with a second axis, beside those of every mirror: its `jitter_total` is that about both axes
+together, its `modulus_margin` and `loop_crossover` are the least of both."""
+
 JITTER = Metric("angle", "jitter", "Rms line-of-sight error of one disturbance.")
 
 BOUNDS: dict[str, Metric] = {

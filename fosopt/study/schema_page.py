@@ -18,7 +18,7 @@ from fosopt.expressions import FUNCTIONS, Expression
 from fosopt.study.schema import Study
 from fosopt.study.schema_base import OrFile, Quantity, Section, quantity_of
 from fosopt.study.schema_imports import BulkData
-from fosopt.study.schema_names import BOUNDS, JITTER, METRICS, Metric
+from fosopt.study.schema_names import BOUNDS, BY_AXIS, JITTER, METRICS, Metric
 from fosopt.study.schema_structures import Structure
 from fosopt.study.schema_sweep import AXES, LISTED, ONE_MINUS, STABLE, Axis
 from fosopt.units import DIMENSIONS, UNITS
@@ -327,6 +327,11 @@ def _metrics() -> Iterator[str]:
         "value."
     )
     yield _table(("metric", "SI unit", "meaning"), rows([*METRICS.items(), ("jitter_<name>", JITTER)]))
+    yield (
+        "With `second_axis`, jitter is that about both axes together, root sum square, `modulus_margin` and "
+        "`loop_crossover` are the least of both, and there are"
+    )
+    yield _table(("metric", "SI unit", "meaning"), rows(BY_AXIS.items()))
     yield f"A sweep has two more outputs: `{STABLE}`, 1 or 0, and `{ONE_MINUS}`, 1 − β of every mode to its last digit."
     yield (
         "[Certificates](certificates.md) put these beside each point. They are columns of its files, and not to be "

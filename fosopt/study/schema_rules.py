@@ -9,10 +9,11 @@ from typing import TYPE_CHECKING, Any
 
 from fosopt.errors import did_you_mean
 from fosopt.expressions import Expression, Reference, parse_expression
+from fosopt.study.schema_axes import check_second_axis
 from fosopt.study.schema_base import KeyPath, RuleError, unique
 from fosopt.study.schema_imports import Imported
 from fosopt.study.schema_loop import check_loop
-from fosopt.study.schema_names import JITTER, MEMBERS, METRICS, QUANTITIES, Metric
+from fosopt.study.schema_names import BY_AXIS, JITTER, MEMBERS, METRICS, QUANTITIES, Metric
 from fosopt.study.schema_sweep import check_sweep
 from fosopt.study.schema_truss import BarkerTruss, Truss
 from fosopt.units import DIMENSIONS, Vector, exponents, parse_quantity, quote, show
@@ -35,8 +36,10 @@ def known_metrics(study: Study) -> dict[str, Metric]:
     known = {name: metric for name, metric in METRICS.items() if study.step or not name.startswith("step_")}
     if study.limits is None:
         known = {name: metric for name, metric in known.items() if not name.startswith("peak_")}
+    if study.second_axis is not None:
+        known |= BY_AXIS
     if not study.disturbances:
-        del known["jitter_total"]
+        known = {name: metric for name, metric in known.items() if not name.startswith("jitter_")}
     return known | {f"jitter_{disturbance.name}": JITTER for disturbance in study.disturbances}
 
 
@@ -82,6 +85,7 @@ def check_study(study: Study, data: Mapping[str, Any]) -> None:
     """Refuse a study whose sections do not fit together; ``data`` is what they were made of."""
     _check_ports(study)
     _check_mirror_mass(study)
+    check_second_axis(study)
     check_loop(study)
     _check_disturbances(study)
     _check_variables(study, data)
@@ -185,7 +189,7 @@ def _check_disturbances(study: Study) -> None:
 def _check_variables(study: Study, data: Mapping[str, Any]) -> None:
     unique(((v.name, ("variables", k, "name")) for k, v in enumerate(study.variables)), "variable")
     scalars = [
-        (v.quantity, ("variables", k, "quantity"))
+        (f"second {v.quantity}" if v.of_second_axis else v.quantity, ("variables", k, "quantity"))
         for k, v in enumerate(study.variables)
         if v.quantity not in MEMBERS
     ]
@@ -197,7 +201,7 @@ def _check_variables(study: Study, data: Mapping[str, Any]) -> None:
         if variable.quantity in MEMBERS:
             _check_members(study, variable, data["variables"][k], at)
             continue
-        default = study.given(variable.quantity)
+        default = study.given(variable.quantity, variable.of_second_axis)
         if default is None:
             other, section = _EXCLUSIVE[variable.quantity]
             raise RuleError(
@@ -335,6 +339,8 @@ def _check_reference(study: Study, reference: Reference) -> None:
         indexed, most, what = not variable.is_scalar, len(groups) if groups else None, "group"
     elif name == "jitter_total":
         raise RuleError("'jitter_total' needs disturbances; add the section 'disturbances'")
+    elif name in BY_AXIS:
+        raise RuleError(f"'{name}' is a metric of a mirror with two axes; add the section 'second_axis'")
     elif name in METRICS:
         raise RuleError(f"'{name}' needs a step command; add the section 'step'")
     else:

@@ -144,7 +144,10 @@ def _value(quantity: str, value: object, *at: str | int) -> object:
 
 
 class BoundarySearch(Section):
-    """Search for the boundaries of stability along one axis, on one line per point of the other axes."""
+    """Search for the boundaries of stability along one axis, on one line per point of the other axes.
+
+    Of a loop that samples they are those of the sampled loop.
+    """
 
     along: Identifier
     """Name of the axis to search along."""

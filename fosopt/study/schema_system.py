@@ -309,6 +309,8 @@ class Disturbance(Section):
     """Its jitter is the metric `jitter_<name>`."""
     at: Literal["mirror_torque", "hub_torque", "line_of_sight", "sensor_noise"]
     """Where it acts."""
+    axis: Literal["first", "second", "both"] | None = None
+    """With `second_axis`, the axis it acts about; `both`, the default there, are alike and independent."""
     filter: Filter | None = None
     """Filter that shapes white noise into it."""
     psd: Label | None = None

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from fosopt.errors import StoppedError
+from fosopt.export.columns import provenance_of
 from fosopt.export.sweep_matlab import write_sweep_arrays
 from fosopt.expressions import Expression
 from fosopt.files import replacing
@@ -166,11 +167,12 @@ def _write(store: Store, run: dict[str, Any], plan: SweepPlan) -> None:
     head = [quantities[name]["column"] for name in names]
     factors = [quantities[name]["column_factor"] for name in names]
     labels = {a.name: a.list for a in points.axes if a.quantity == "mirror_port" and a.list is not None}
-    with SweepFiles(out, names, head, factors, plan.widths, labels) as files:
+    origin = provenance_of(run)
+    with SweepFiles(out, names, head, factors, plan.widths, labels, origin) as files:
         for scalars, arrays in stored_pieces(store, plan):
             files.append(scalars, arrays)
     if run["boundaries"] is not None:
-        write_boundaries(run["boundaries"], quantities, points.axes, out / "boundary.csv")
+        write_boundaries(run["boundaries"], quantities, points.axes, origin, out / "boundary.csv")
     with replacing(out / SUMMARY) as temporary:
         temporary.write_text(json.dumps(run, allow_nan=False, indent=1) + "\n", encoding="utf-8")
     _write_mat(run, out)

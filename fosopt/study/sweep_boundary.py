@@ -6,15 +6,20 @@ import csv
 from collections.abc import Callable, Mapping, Sequence
 from itertools import product
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
-from fosopt.control import ClosedLoopPoles, closed_loop_poles
-from fosopt.metrics.boundary import Boundary, boundary_mode, branches, stability_boundaries
+from fosopt.control import Loop, closed_loop_poles
+from fosopt.control.sampled_poles import sampled_poles
+from fosopt.export.text import inert
+from fosopt.metrics.boundary import Boundary, Poles, boundary_mode, branches, stability_boundaries
 from fosopt.metrics.functional import LoopModel
+from fosopt.modes import ModalSet
 from fosopt.study.schema import Study
 from fosopt.study.schema_sweep import STRUCTURAL, Axis, Sweep
 from fosopt.study.sweep_points import Bench, Points, bench, value_of
 from fosopt.units import HZ
+
+P = TypeVar("P", bound=Poles)
 
 
 class _Line:
@@ -33,10 +38,32 @@ class _Line:
         design = self.bench.design(row)
         return LoopModel(design.loop, self.bench.first.modes, self.bench.system.mirror_port)
 
-    def poles(self, value: float, near: ClosedLoopPoles | None) -> ClosedLoopPoles:
-        """Closed-loop poles there."""
-        model = self.model(value)
-        return closed_loop_poles(model.loop, model.modes, model.mirror_port, near)
+    def boundaries(self, samples: int) -> list[Boundary]:
+        """Those of stability along it, of a loop that samples as built."""
+        log = self._axis.log is not None
+        if self.period is None:
+            path = _path(self.model, closed_loop_poles)
+            return stability_boundaries(path, *self._axis.ends, log=log, samples=samples)
+        as_built = _path(self.model, sampled_poles)
+        return stability_boundaries(as_built, *self._axis.ends, log=log, samples=samples)
+
+    @property
+    def period(self) -> float | None:
+        """Of a loop that samples [s]."""
+        sampling = self._study.controller.sampling
+        return None if sampling is None else sampling.seconds
+
+
+def _path(
+    model: Callable[[float], LoopModel], of: Callable[[Loop, ModalSet, str, P | None], P]
+) -> Callable[[float, P | None], P]:
+    """Closed-loop poles over the value of an axis."""
+
+    def found(value: float, near: P | None) -> P:
+        here = model(value)
+        return of(here.loop, here.modes, here.mirror_port, near)
+
+    return found
 
 
 def find_boundaries(
@@ -65,14 +92,14 @@ def find_boundaries(
             break
         row = {a.quantity: value_of(a, x) for a, x in zip(others, numbers, strict=True)}
         line = _Line(study, along, row, known)
-        lines.append(stability_boundaries(line.poles, *along.ends, log=log, samples=sweep.boundary.samples))
+        lines.append(line.boundaries(sweep.boundary.samples))
         known = line.bench
         places.append(({a.name: row[a.quantity] for a in others}, line))
     found = []
     for (place, line), boundaries, numbers_ in zip(places, lines, branches(lines, log), strict=True):
         for each, branch in zip(boundaries, numbers_, strict=True):
             model = line.model(each.value)
-            mode = boundary_mode(model, each.pole)
+            mode = boundary_mode(model, each.pole, line.period)
             found.append(
                 {
                     "at": place | {along.name: each.value},
@@ -90,15 +117,24 @@ def write_boundaries(
     found: Sequence[Mapping[str, Any]],
     quantities: Mapping[str, Mapping[str, Any]],
     axes: Sequence[Axis],
+    origin: str,
     path: Path,
 ) -> None:
-    """Write the boundaries as a table; units stand in the names of its columns."""
-    names = [axis.name for axis in axes]
-    with path.open("w", encoding="utf-8", newline="") as stream:
+    """Write the boundaries as a table; units stand in the names of its columns, where it came from in the first row."""
+    names, origin = [axis.name for axis in axes], inert(origin)
+    with path.open("w", encoding="utf-8", errors="backslashreplace", newline="") as stream:
         writer = csv.writer(stream, lineterminator="\n")
         head = [quantities[name]["column"] for name in names]
         writer.writerow(
-            [*head, "rising", "frequency_hz", "structural_mode", "structure_frequency_hz", "branch"]
+            [
+                *head,
+                "rising",
+                "frequency_hz",
+                "structural_mode",
+                "structure_frequency_hz",
+                "branch",
+                "provenance",
+            ]
         )
         for each in found:
             cells = [_cell(each["at"][name], quantities[name]["column_factor"]) for name in names]
@@ -110,8 +146,10 @@ def write_boundaries(
                     each["structural_mode"],
                     each["structure_frequency"] / HZ,
                     each["branch"],
+                    origin,
                 ]
             )
+            origin = ""
 
 
 def _cell(value: Any, factor: float) -> Any:

@@ -13,7 +13,7 @@ from scipy.stats import qmc
 from fosopt.actuators import Mirror
 from fosopt.modes import Damping
 from fosopt.ops import Array
-from fosopt.problem import Design, Evaluation, Problem, System, Variable, design_parameters
+from fosopt.problem import Design, Evaluation, Problem, System, Variable, design_parameters, evaluation_of
 from fosopt.study.build import build_problem
 from fosopt.study.imports import imported_damping, read_imported, refuse_riding
 from fosopt.study.schema import Study
@@ -185,7 +185,7 @@ def bench(study: Study, row: Row, known: Bench | None = None) -> Bench:
     if "damping_ratio" in row:
         damping, imported = Damping((row["damping_ratio"],)), read_imported(study)
         system = replace(system, damping=damping if imported is None else imported_damping(imported, damping))
-    first = Evaluation(system, base)
+    first = evaluation_of(system, base)
     if known is not None and known.problem is problem and _same_structure(known.base, base):
         first.frame = known.first.frame
     return Bench(system, base, problem, form, first)

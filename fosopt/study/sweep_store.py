@@ -15,6 +15,7 @@ import numpy as np
 
 from fosopt.errors import StudyError
 from fosopt.export.sweep import sweep_cell
+from fosopt.export.text import inert
 from fosopt.ops import Array
 
 _CELL = 24  # bytes of a number in the table, with its comma
@@ -71,6 +72,8 @@ class SweepFiles:
         Columns of each array, by name.
     labels
         Texts a column of the table shows in place of its numbers, by name.
+    origin
+        Where the run came from, for the last column of the first row.
     """
 
     def __init__(
@@ -81,15 +84,19 @@ class SweepFiles:
         factors: Sequence[float],
         widths: dict[str, int],
         labels: Mapping[str, Sequence[str]],
+        origin: str,
     ) -> None:
         (directory / "arrays").mkdir(exist_ok=True)
         files = array_files((*scalars, *widths))
         self._scalars, self._factors, self._labels = tuple(scalars), np.array(factors), labels
         self._columns = [GrowingArray(directory / files[name]) for name in scalars]
         self._arrays = {name: GrowingArray(directory / files[name], n) for name, n in widths.items()}
-        self._table = (directory / "points.csv").open("w", encoding="utf-8", newline="")
+        self._table = (directory / "points.csv").open(
+            "w", encoding="utf-8", errors="backslashreplace", newline=""
+        )
         self._writer = csv.writer(self._table, lineterminator="\n")
-        self._writer.writerow(head)
+        self._writer.writerow([*head, "provenance"])
+        self._origin = inert(origin)
 
     def append(self, scalars: Array, arrays: Mapping[str, Array]) -> None:
         """Add (m, s) values of all scalars and the rows of each array."""
@@ -99,7 +106,9 @@ class SweepFiles:
             self._arrays[name].append(values)
         texts = [self._labels.get(name) for name in self._scalars]
         for row in (scalars * self._factors).tolist():
-            self._writer.writerow([sweep_cell(x, names) for x, names in zip(row, texts, strict=True)])
+            cells = (sweep_cell(x, names) for x, names in zip(row, texts, strict=True))
+            self._writer.writerow([*cells, self._origin])
+            self._origin = ""
         self._table.flush()
 
     def __enter__(self) -> Self:

@@ -115,7 +115,7 @@ function cumulativeFigure(point) {
   };
   const curves = sourceCurves(cumulative, factor, `%{y:.4g} ${unit}`);
   return {
-    data: allowed ? [...curves, allowance] : curves,
+    data: allowed ? [...curves, allowance, ...excessTrace(point, factor)] : curves,
     layout: layout({
       xaxis: decades("Frequency (Hz)"),
       yaxis: axis(`Cumulative jitter, rms (${unit})`, { rangemode: "tozero" }),
@@ -125,6 +125,44 @@ function cumulativeFigure(point) {
       margin: { l: 60, r: 14, t: 34, b: 44 },
     }),
   };
+}
+
+// A verdict on the requirement line in color and words, next to the curve that it is of.
+function lineVerdict(point) {
+  const line = point.requirement_line;
+  if (!run.requirement_line || typeof line?.met !== "boolean") return [];
+  const { unit, factor } = angle();
+  const size = (value) => withUnit(number(value * factor), unit);
+  const [reached, allowed, apart] = [line.reached, line.allowed, Math.abs(line.excess)].map(size);
+  const where = `at ${number(line.frequency_hz)} Hz`;
+  const words = line.met
+    ? `closest ${where}, with ${reached} of ${allowed}.`
+    : `most ${where}, by ${apart}: ${reached} where ${allowed} is allowed.`;
+  const verdict = line.met ? "Keeps below the requirement line" : "Exceeds the requirement line";
+  return [" Dashed: required. ", judgement(line.met, verdict), `, ${words} The line is judged; no optimization knows of it.`];
+}
+
+function lineMark(point) {
+  const met = point.requirement_line?.met;
+  return typeof met === "boolean" ? judgement(met) : "not judged";
+}
+
+// Where the line is exceeded most, from what is allowed up to what is reached.
+function excessTrace(point, factor) {
+  const line = point.requirement_line;
+  if (!run.requirement_line || line?.met !== false) return [];
+  const mark = { symbol: ["line-ew-open", "x"], size: 9, color: VERMILION, line: { width: 2 } };
+  return [
+    {
+      x: [line.frequency_hz, line.frequency_hz],
+      y: scaled([line.allowed, line.reached], factor),
+      mode: "lines+markers",
+      name: "worst excess",
+      line: { color: VERMILION, width: 2 },
+      marker: mark,
+      hoverinfo: "skip",
+    },
+  ];
 }
 
 function spectrumFigure(point) {

@@ -12,6 +12,11 @@ function asSampled(text, more = ", up to the Nyquist frequency") {
   };
 }
 
+// Of a mirror with two axes, each loop is looked at with the other one closed.
+function hasTwoAxes(point) {
+  return Boolean(detailOf(point).bode?.second_axis_loop_magnitude);
+}
+
 function decibels(values) {
   return values.map((value) => (value > 0 ? 20 * Math.log10(value) : null));
 }
@@ -58,10 +63,22 @@ function bodeFigure(point) {
     y: phases,
     yaxis: "y2",
     hovertemplate: "%{x:.4g} Hz<br>phase %{y:.1f}°<extra></extra>",
+    showlegend: false,
   };
+  const two = hasTwoAxes(point),
+    other = { line: { color: ORANGE, width: 1.5, dash: "dash" } };
+  const beside = two
+    ? [
+        { ...magnitude, ...other, y: decibels(bode.second_axis_loop_magnitude), name: "second axis" },
+        ...(phases && bode.second_axis_loop_phase_deg
+          ? [{ ...phase, ...other, y: bode.second_axis_loop_phase_deg }]
+          : []),
+      ]
+    : [];
   return {
-    data: phases ? [magnitude, phase] : [magnitude],
+    data: [{ ...magnitude, name: "first axis" }, ...(phases ? [phase] : []), ...beside],
     layout: layout({
+      ...(two ? { showlegend: true, margin: { l: 56, r: 14, t: 34, b: 44 } } : {}),
       xaxis: decades("Frequency (Hz)", phases ? { anchor: "y2", mirror: "all" } : {}),
       yaxis: axis("|L| (dB)", { domain: [phases ? 0.46 : 0, 1] }),
       ...(phases ? { yaxis2: axis("Phase of L (°)", { domain: [0, 0.42], dtick: turns(phases) }) } : {}),
@@ -99,12 +116,19 @@ function sensitivityFigure(point) {
     hovertemplate: `%{x:.4g} Hz<br>${name} %{y:.2f} dB<extra></extra>`,
   });
   // An integrator sends |S| far down at low frequency, where nothing is decided.
-  const peak = Math.max(...[bode.sensitivity, bode.complementary_sensitivity ?? []].flatMap(decibels), 6);
+  const curves = [bode.sensitivity, bode.complementary_sensitivity, bode.second_axis_sensitivity];
+  const peak = Math.max(...curves.flatMap((values) => decibels(values ?? [])), 6);
   return {
     data: [
       curve(bode.sensitivity, "|S|", { color: BLUE }),
       ...(bode.complementary_sensitivity
         ? [curve(bode.complementary_sensitivity, "|T|", { color: ORANGE, dash: "dash" })]
+        : []),
+      ...(hasTwoAxes(point)
+        ? [
+            curve(bode.second_axis_sensitivity, "|S| second axis", { color: BLUE, dash: "dot" }),
+            curve(bode.second_axis_complementary_sensitivity, "|T| second axis", { color: ORANGE, dash: "dot" }),
+          ]
         : []),
     ],
     layout: layout({

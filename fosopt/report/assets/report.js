@@ -53,7 +53,10 @@ const PANELS = [
     "cumulative",
     "half",
     "",
-    ofModel("Cumulative jitter by source: root mean square of all that lies below a frequency."),
+    (point) => [
+      ofModel("Cumulative jitter by source: root mean square of all that lies below a frequency.")(point),
+      ...lineVerdict(point),
+    ],
     cumulativeFigure,
   ],
   [
@@ -81,6 +84,7 @@ const PANELS = [
     ofModel("Closed-loop poles, one of each conjugate pair: natural frequency and damping ratio."),
     polesFigure,
   ],
+  ["shape", "full", "", shapeCaption, shapeFigure],
   ["modes", "full", null, modesCaption, modesTable],
 ];
 
@@ -91,18 +95,22 @@ let selected = null;
 let pending = 0;
 
 function bodeCaption(point) {
-  return asSampled(
+  const closed = hasTwoAxes(point) ? " About each axis, with the loop about the other one closed." : "";
+  const text = asSampled(
     detailOf(point).bode?.loop_phase_deg
       ? "Loop transfer L: magnitude, and phase counted by its poles and zeros. Dotted: 0 dB and −180° (plus whole turns)."
       : "Magnitude of the loop transfer L. Its phase is left out: a zero of L could not be found.",
   )(point);
+  return text + closed;
 }
 
 function sensitivityCaption(point) {
   return asSampled(
     point.status === "unstable"
       ? "Sensitivity S and complementary sensitivity T of an unstable closed loop: they bound no margin."
-      : "Sensitivity S and complementary sensitivity T; the peak of |S| is one over the modulus margin.",
+      : hasTwoAxes(point)
+        ? "Sensitivity S and complementary sensitivity T about each axis; the higher peak of |S| is one over the modulus margin."
+        : "Sensitivity S and complementary sensitivity T; the peak of |S| is one over the modulus margin.",
   )(point);
 }
 
@@ -131,23 +139,9 @@ function makePanels() {
     });
     // A table's caption stands above it, a figure's below, as in print.
     figure.append(...(height === null ? [caption, body] : [body, caption]));
-    if (id === "structure") figure.prepend(viewButtons());
+    if (["structure", "shape"].includes(id)) figure.prepend(viewButtons(id));
     at("figures").append(figure);
   }
-}
-
-// A spatial truss is looked at from four sides.
-function viewButtons() {
-  const buttons = VIEWS.map(({ name }, index) => {
-    const button = element("button", { type: "button", class: "view", "aria-pressed": String(!index) }, name);
-    button.addEventListener("click", () => {
-      lookedFrom = index;
-      for (const each of buttons) each.setAttribute("aria-pressed", String(each === button));
-      fillPanel(PANELS[0], selected);
-    });
-    return button;
-  });
-  return element("div", { id: "views", role: "group", "aria-label": "View of the truss", hidden: "" }, ...buttons);
 }
 
 function fillPanel([id, , height, caption, make], point) {
@@ -157,7 +151,7 @@ function fillPanel([id, , height, caption, make], point) {
     if (height !== null) release(id);
     return;
   }
-  at(`${id}-caption`).textContent = caption(point);
+  at(`${id}-caption`).replaceChildren(...[caption(point)].flat());
   if (height === null) at(id).replaceChildren(made);
   else draw(id, made);
 }
@@ -180,6 +174,7 @@ function facts(point) {
     ["Time", typeof point.seconds === "number" ? `${number(point.seconds, 3)}\u00a0s` : null],
     ["Starts that agree", point.starts ? `${point.starts.agreed} of ${point.starts.tried}` : null],
     ["Truncation error of the jitter", truncation(point)],
+    ["Requirement line", run.requirement_line && lineMark(point)],
     ["KKT residual", typeof point.kkt_residual === "number" ? number(point.kkt_residual, 2) : null],
   ];
   return known
@@ -219,8 +214,11 @@ function showPoint() {
   at("reason").textContent = reason ? `${capital(verdict(point))}: ${readable(reason)}` : "";
   if (hasFront()) Plotly.restyle("front", ringOf(point), [at("front").data.length - 1]);
   else if (drawn.has("front")) draw("front", barsFigure(point.key));
-  at("views").hidden = !isSpatial(point);
-  at("structure").classList.toggle("low", Boolean(detailOf(point).structure));
+  for (const views of document.querySelectorAll(".views")) views.hidden = !isSpatial(point);
+  const { structure, truss } = detailOf(point);
+  at("structure").classList.toggle("low", Boolean(structure));
+  at("shape").classList.toggle("low", Boolean(structure) || Boolean(truss && isSlender(truss)));
+  for (const id of ["structure", "shape"]) at(id).classList.toggle("wide", !isSpatial(point));
   PANELS.forEach((panel) => fillPanel(panel, point));
   at("announcement").textContent = `Point ${point.key} selected: ${valuesOf(point)}, ${verdict(point)}.`;
 }
@@ -233,7 +231,7 @@ function select(key, { link = true } = {}) {
     const current = row.dataset.key === String(point.key);
     row.classList.toggle("current", current);
     row.querySelector("button.pick").setAttribute("aria-pressed", String(current));
-    if (current && at("points").contains(row)) keepInView(row);
+    if (current && at("points").contains(row)) keepInView(at("points"), row);
   }
   if (link) history.replaceState(null, "", `#point=${encodeURIComponent(point.key)}`);
   // A held arrow key asks for points faster than all panels can be drawn.
@@ -242,9 +240,8 @@ function select(key, { link = true } = {}) {
 }
 
 // Scrolls the table alone: the page stays where the reader is.
-function keepInView(row) {
-  const box = at("points"),
-    head = box.querySelector("thead").offsetHeight;
+function keepInView(box, row) {
+  const head = box.querySelector("thead").offsetHeight;
   const [top, bottom] = [row.offsetTop - head, row.offsetTop + row.offsetHeight];
   if (top < box.scrollTop) box.scrollTop = top;
   else if (bottom > box.scrollTop + box.clientHeight) box.scrollTop = bottom - box.clientHeight;
@@ -263,6 +260,7 @@ function step(by) {
 // because the others scroll the page. Home and End go to the first and last point, Enter at the front to its details.
 function onKey(event) {
   if (event.altKey || event.ctrlKey || event.metaKey || event.shiftKey) return;
+  if (at("modes").contains(event.target)) return onModeKey(event);
   const atFront = at("front")?.contains(event.target) ?? false;
   const listed = at("points").contains(event.target) || atFront;
   const near = event.target === document.body || at("bar").contains(event.target);
@@ -370,6 +368,8 @@ function listen() {
   document.addEventListener("click", (event) => {
     const found = event.target instanceof Element ? event.target.closest("[data-key]") : null;
     if (found) select(found.dataset.key);
+    const mode = event.target instanceof Element ? event.target.closest("[data-mode]") : null;
+    if (mode) chooseMode(Number(mode.dataset.mode));
   });
   document.addEventListener("keydown", onKey);
   at("previous").addEventListener("click", () => step(-1));

@@ -252,6 +252,10 @@ function picture(truss) {
   ];
 }
 
+function ontoPicture(directions) {
+  return (node) => directions.map((direction) => direction.reduce((sum, value, k) => sum + value * node[k], 0));
+}
+
 // The three directions of space at the lower left, where the axes cannot be read off the frame.
 function triad([right, up], low, size) {
   return ["x", "y", "z"].flatMap((name, k) => {
@@ -271,8 +275,7 @@ function triad([right, up], low, size) {
 
 function spatialFigure(truss, places) {
   const directions = picture(truss);
-  const onto = (node) =>
-    directions.map((direction) => direction.reduce((sum, value, k) => sum + value * node[k], 0));
+  const onto = ontoPicture(directions);
   const flat = { ...truss, nodes: truss.nodes.map(onto) };
   const [x, y] = middles(flat);
   const [wide, high] = [0, 1].map((k) => span(flat.nodes.map((node) => node[k])));
@@ -297,4 +300,23 @@ function spatialFigure(truss, places) {
       margin: { l: 56, r: 14, t: 18, b: 44 },
     }),
   };
+}
+
+// A spatial truss is looked at from four sides, at rest and deformed from the same one.
+function viewButtons(id) {
+  const buttons = VIEWS.map(({ name }, index) => {
+    const state = { "data-view": index, "aria-pressed": String(index === lookedFrom) };
+    const button = element("button", { type: "button", class: "view", ...state }, name);
+    button.addEventListener("click", () => lookFrom(index));
+    return button;
+  });
+  const group = { class: "views", role: "group", "aria-label": "View of the truss", hidden: "" };
+  return element("div", { id: `${id}-views`, ...group }, ...buttons);
+}
+
+function lookFrom(index) {
+  lookedFrom = index;
+  for (const each of document.querySelectorAll(".view"))
+    each.setAttribute("aria-pressed", String(Number(each.dataset.view) === index));
+  for (const panel of PANELS.filter(([id]) => ["structure", "shape"].includes(id))) fillPanel(panel, selected);
 }

@@ -224,7 +224,7 @@ function fillBoundaries() {
   if (run.boundaries === null) return;
   at("boundaries").hidden = false;
   at("boundaries-text").textContent = boundaries.length
-    ? "Values at which a pole stands on the imaginary axis, found to a relative accuracy of 10⁻⁹."
+    ? "Values at which the outermost pole neither grows nor decays, found to a relative accuracy of 10⁻⁹."
     : "Stability does not change anywhere along the axis.";
   if (!boundaries.length) return;
   const heads = [

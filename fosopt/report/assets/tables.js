@@ -220,11 +220,12 @@ function modesTable(point) {
   const scale = { low: Math.min(0, ...inertias), high: Math.max(0, ...inertias) };
   const shares = modes.some((mode) => typeof mode.jitter_share === "number");
   const percent = (share) => (typeof share === "number" ? 100 * share : null);
-  const rows = modes.map((mode) =>
+  const shown = modeShown(point);
+  const rows = modes.map((mode, row) =>
     element(
       "tr",
-      {},
-      rowHead(String(mode.index)),
+      hasShape(point, row) ? { "data-mode": row, class: row === shown ? "current" : "" } : {},
+      rowHead(hasShape(point, row) ? modeButton(mode, row === shown) : String(mode.index)),
       cell(number(mode.frequency_hz), "n"),
       cell(number(typeof mode.damping_ratio === "number" ? 100 * mode.damping_ratio : null, 3), "n"),
       cell(number(mode.effective_modal_reaction_inertia), "n"),
@@ -250,13 +251,29 @@ function modesTable(point) {
   );
 }
 
+function modeButton(mode, shown) {
+  const state = { type: "button", class: "pick", "aria-pressed": String(shown) };
+  return element("button", { ...state, "aria-label": `Draw the shape of mode ${mode.index}` }, String(mode.index));
+}
+
+function shapesHint(point) {
+  const { shapes, modes = [] } = detailOf(point);
+  if (shapes === null) return " The structure came without geometry: its mode shapes cannot be drawn.";
+  const known = modes.filter((_, row) => hasShape(point, row)).length;
+  if (!known) return "";
+  const rest = known < modes.length ? " Rows without a button move nothing that is drawn, or the mirror least." : "";
+  return ` Click a row, or step with the arrow keys, to draw its shape.${rest}`;
+}
+
 function modesCaption(point) {
   const values = (detailOf(point).modes ?? []).map((mode) => mode.effective_modal_reaction_inertia);
   const sum = values.reduce((total, value) => total + (value ?? 0), 0);
   return (
     "Modes of the coupled system: effective modal reaction inertia J̄ₖ (its bar runs left when negative), " +
     `pole-zero separation βₖ, modal inertia, and the share in the mean square jitter of the structural mode that the ` +
-    `loop makes of it. These J̄ₖ sum to ${number(sum)}; all modes together, to one.`
+    `loop makes of it. These J̄ₖ sum to ${number(sum)}; all modes together, to one.` +
+    (hasTwoAxes(point) ? " J̄ₖ is about the first axis, the mirror turning on its flexure about the second." : "") +
+    shapesHint(point)
   );
 }
 
@@ -289,12 +306,12 @@ function variablesTable(point) {
   return table("Design variables", [["Variable"], ["Values", "n"], ["", "n"], ["Unit"]], rows);
 }
 
-function judgement(met) {
+function judgement(met, words = met ? "met" : "exceeded") {
   if (met === null) return "";
   return element(
     "span",
     { class: `mark ${met ? "sound" : "unsound"}` },
-    met ? "●\u00a0met" : "✕\u00a0exceeded",
+    `${met ? "●" : "✕"}\u00a0${words}`,
   );
 }
 
@@ -305,7 +322,7 @@ function metricsTable(point) {
   const rows = names.map((name) => {
     const value = point.metrics[name],
       most = requirements[name];
-    const met = typeof value === "number" && typeof most === "number" ? value <= most : null;
+    const met = typeof value === "number" && typeof most === "number" ? value <= most + 1e-6 * Math.abs(most) : null;
     return element(
       "tr",
       {},
