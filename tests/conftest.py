@@ -51,3 +51,22 @@ def frame3(shared, fem3):
 def evaluation(shared):
     """The reference system, stable, with a disturbance at each input."""
     return shared.evaluation()
+
+
+@pytest.fixture(scope="module")
+def chromium():
+    """A headless Chromium for all tests of a file."""
+    from headless import browsing
+
+    with browsing() as browser:
+        yield browser
+
+
+@pytest.fixture
+def browser(chromium):
+    """The browser, which must have had no trouble and asked for nothing when a test ends."""
+    chromium.troubles.clear()
+    chromium.requests.clear()
+    yield chromium
+    assert not chromium.foreign, chromium.foreign
+    assert not chromium.troubles, "\n".join(chromium.troubles)

@@ -178,20 +178,25 @@ def test_ctrl_c_is_not_for_workers_even_while_their_process_starts():
     assert found.returncode == -signal.SIGINT
 
 
+def answers_of(pool: cluster.Cluster, *names: str) -> dict[str, Any]:
+    """What a pool answers to errands that it is given all at once."""
+    answers = {}
+    for position, name in enumerate(names):
+        pool.submit(hanging.Errand(name, position))
+    end = time.monotonic() + _PATIENCE
+    while pool.busy and time.monotonic() < end:
+        found = pool.next(lambda: False)
+        if found is not None:
+            answers[found[0].name] = found[1]
+    return answers
+
+
 def test_what_hangs_is_stopped_at_its_time_limit_and_what_kills_its_worker_is_given_up(monkeypatch):
     monkeypatch.setattr(cluster, "_GRACE", 0.5)
-    answers = {}
     # By default a request is tried on four workers before it is blamed for their ends.
     once = dask.config.set({"distributed.scheduler.allowed-failures": 0})
     with once, cluster.Cluster(hanging.Job(), None, perform=hanging.perform, workers=2) as pool:
-        for names in (("a", "b"), ("stuck", "deadly"), ("c",)):
-            for position, name in enumerate(names):
-                pool.submit(hanging.Errand(name, position))
-            end = time.monotonic() + _PATIENCE
-            while pool.busy and time.monotonic() < end:
-                found = pool.next(lambda: False)
-                if found is not None:
-                    answers[found[0].name] = found[1]
+        answers = answers_of(pool, "a", "b") | answers_of(pool, "stuck", "deadly") | answers_of(pool, "c")
     assert answers == {
         "a": "a",
         "b": "b",
@@ -213,16 +218,9 @@ def test_two_runs_at_a_time_do_not_disturb_each_other():
 
 
 def test_what_waits_at_a_worker_that_dies_is_not_blamed_for_it():
-    answers = {}
     once = dask.config.set({"distributed.scheduler.allowed-failures": 0})
     with once, cluster.Cluster(hanging.Job(), None, perform=hanging.perform, workers=1) as pool:
-        for position, name in enumerate(("deadly", "a", "b")):
-            pool.submit(hanging.Errand(name, position))
-        end = time.monotonic() + _PATIENCE
-        while pool.busy and time.monotonic() < end:
-            found = pool.next(lambda: False)
-            if found is not None:
-                answers[found[0].name] = found[1]
+        answers = answers_of(pool, "deadly", "a", "b")
     assert answers == {
         "a": "a",
         "b": "b",

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Iterator
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 from threading import Thread
@@ -13,7 +12,7 @@ from typing import Any
 import fake_report as fake
 import numpy as np
 import pytest
-from headless import DESKTOP, PHONE, Browser, browsing
+from headless import DESKTOP, PHONE, Browser
 
 from fosopt.report import write_report
 
@@ -45,22 +44,6 @@ LINKED = f"""JSON.stringify({json.dumps(FIGURES)}.map(
         [[...x].slice(0, 40), [...y].slice(0, 40), text]
     )
 ))"""
-
-
-@pytest.fixture(scope="module")
-def chromium() -> Iterator[Browser]:
-    with browsing() as browser:
-        yield browser
-
-
-@pytest.fixture
-def browser(chromium: Browser) -> Iterator[Browser]:
-    """The browser, which must have had no trouble and asked for nothing when a test ends."""
-    chromium.troubles.clear()
-    chromium.requests.clear()
-    yield chromium
-    assert not chromium.foreign, chromium.foreign
-    assert not chromium.troubles, "\n".join(chromium.troubles)
 
 
 @pytest.fixture(scope="module")

@@ -11,7 +11,7 @@ from typing import Any
 import fake_report as fake
 import numpy as np
 import pytest
-from headless import DESKTOP, PHONE, Browser, browsing
+from headless import DESKTOP, PHONE, Browser
 
 from fosopt.report import write_report
 
@@ -19,22 +19,6 @@ HOSTILE = "<b>bold</b><img src=x onerror=alert(1)>"
 LINE = {"frequency_hz": [1.0, 10.0, 100.0], "rms": [5e-6, 20e-6, 60e-6]}
 EXCEEDED = {"met": False, "frequency_hz": 10.0, "reached": 30e-6, "allowed": 20e-6, "excess": 10e-6}
 MET = {"met": True, "frequency_hz": 100.0, "reached": 45e-6, "allowed": 60e-6, "excess": -15e-6}
-
-
-@pytest.fixture(scope="module")
-def chromium() -> Iterator[Browser]:
-    with browsing() as browser:
-        yield browser
-
-
-@pytest.fixture
-def browser(chromium: Browser) -> Iterator[Browser]:
-    """The browser, which must have had no trouble and asked for nothing when a test ends."""
-    chromium.troubles.clear()
-    chromium.requests.clear()
-    yield chromium
-    assert not chromium.foreign, chromium.foreign
-    assert not chromium.troubles, "\n".join(chromium.troubles)
 
 
 def opened(

@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator
 
 import numpy as np
 import pytest
-from headless import DESKTOP, PHONE, Browser, browsing
+from headless import DESKTOP, PHONE
 from test_sweep_study import run_in, sweep_text
 
 LINE = """\
@@ -23,22 +22,6 @@ MAP = LINE.replace(
     "    - quantity: mirror_frequency\n      linear: {from: 10 Hz, to: 40 Hz, points: 4}\n  outputs",
 )
 FAST = ("crossover: 100 Hz", "crossover: 230 Hz")
-
-
-@pytest.fixture(scope="module")
-def chromium() -> Iterator[Browser]:
-    with browsing() as browser:
-        yield browser
-
-
-@pytest.fixture
-def browser(chromium):
-    """The browser, which must have had no trouble and asked for nothing when a test ends."""
-    chromium.troubles.clear()
-    chromium.requests.clear()
-    yield chromium
-    assert not chromium.foreign, chromium.foreign
-    assert not chromium.troubles, "\n".join(chromium.troubles)
 
 
 @pytest.fixture(scope="module", params=[LINE, MAP], ids=["line", "map"])
