@@ -17,6 +17,7 @@ import tempfile
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
+from multiprocessing import forkserver
 from pathlib import Path
 from typing import Any
 
@@ -29,6 +30,7 @@ from fosopt.study.cluster import Cluster
 from fosopt.study.database import RECORD
 from fosopt.study.directory import study_hash
 from fosopt.study.plan import identity, plan_of, request_identity
+from fosopt.study.processes import prepare
 from fosopt.study.resume import inputs_of
 from fosopt.study.runner import Workers, resume_run, run_study, settle
 from fosopt.study.store import Answered, Block, Store
@@ -137,7 +139,9 @@ def errand(name: str, request: Errand) -> None:
 def overhead() -> tuple[float, float]:
     """Start of the workers [s], and what all takes beside the work itself [%], for 200 errands of a second."""
     count, work = 200, 2
+    forkserver._forkserver._stop()  # what the front's workers were copies of, so that these start from nothing
     begin = time.perf_counter()
+    prepare()
     with Cluster(Errands(), Parcel({}, {}), perform=errand, workers=work) as pool:
         for k in range(count):
             pool.submit(Errand(str(k), k))

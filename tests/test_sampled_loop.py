@@ -11,10 +11,11 @@ import numpy as np
 import pytest
 import reference
 from sampled_loops import ANTI_ALIAS, rigid, sampled
-from scipy import linalg, optimize
+from scipy import linalg, optimize, signal
 
 from fosopt.control import Sampling, SignalPath, closed_loop_poles, notch_filter, plant_state_space
 from fosopt.control.discrete import discrete_controller, trapezoidal
+from fosopt.control.filters import Filter
 from fosopt.control.sampled import sampled_loop
 from fosopt.control.spans import span
 from fosopt.errors import ModelError, SolverError, UnstableError
@@ -111,6 +112,15 @@ def test_a_discretized_notch_is_itself_at_its_center():
     notch = notch_filter(700.0, 0.1, 0.25)
     found = trapezoidal(notch, 1e-3).response(np.exp(0.7j))
     assert found == pytest.approx(notch.response(700j), abs=0, rel=1e-12)
+
+
+def test_a_filter_without_a_center_is_discretized_as_scipy_does():
+    plain = Filter((2.0, 1e4), (1.0, 3e3, 1e7))
+    found = trapezoidal(plain, 1e-3)
+    numerator, denominator = signal.bilinear(plain.numerator, plain.denominator, fs=1e3)
+    assert plain.center == 0
+    np.testing.assert_allclose(found.numerator, numerator, rtol=1e-12)
+    np.testing.assert_allclose(found.denominator, denominator, rtol=1e-12)
 
 
 def test_states_and_difference_equations_of_the_controller_are_its_transfer_function():

@@ -70,12 +70,11 @@ def axis_variances(
         _refuse_unknown_hub(models[0], disturbance)
         for model in models:
             refuse_infinite_variance(disturbance, model.loop, poles.open_loop.drifting)
-        nodes, weights = jitter_quadrature(poles, disturbance, shift)
+        nodes, density = jitter_quadrature(poles, disturbance, shift)
         points = models[0].points(1j * nodes + shift)
         first, second = (
             summed(
-                quadrature_variance(seen, nodes, weights, disturbance, response)
-                for response in responses_of(disturbance, axis)
+                quadrature_variance(seen, density, response) for response in responses_of(disturbance, axis)
             )
             for axis, seen in enumerate((points, models[1].seen(points)))
         )

@@ -153,10 +153,16 @@ class Disturbance:
         """Whether its jitter is a sum of residues: a rational spectrum with simple poles over all frequencies."""
         return self.filter is not None and self.band == (0.0, inf) and not self.filter.has_repeated_poles
 
-    def one_sided_psd(self, frequency: Array) -> Array:
-        """(m,) One-sided power spectral density at `frequency` [rad/s], in [unit²/Hz]."""
+    def one_sided_psd(self, frequency: Array, shift: float = 0.0) -> Array:
+        """(m,) One-sided power spectral density at `frequency` [rad/s], in [unit²/Hz].
+
+        Parameters
+        ----------
+        shift
+            Take F(s + shift) instead of F(s), which a table does not have [rad/s].
+        """
         if self.filter is not None:
-            return 2 * np.abs(self.filter.response(1j * frequency)) ** 2
+            return 2 * np.abs(self.filter.response(1j * frequency + shift)) ** 2
         assert self.frequency is not None and self.psd is not None
         return density_between(frequency, self.frequency, self.psd, self.interpolation)
 

@@ -56,8 +56,8 @@ def jitter_variances(
     Parameters
     ----------
     shift
-        Evaluate H(s + shift) instead of H(s): finite for a loop whose poles lie left of `shift`, and the loop's
-        own jitter at zero. Minimizing it while `shift` falls stabilizes a loop [rad/s].
+        Evaluate H(s + shift) instead of H(s), the shaping filter with the loop: finite for a loop whose poles lie left
+        of `shift`, and the loop's own jitter at zero. Minimizing it while `shift` falls stabilizes a loop [rad/s].
 
     Raises
     ------
@@ -189,20 +189,22 @@ def residue_terms(
 def _by_quadrature(
     model: LoopModel, poles: ClosedLoopPoles, disturbance: Disturbance, shift: float
 ) -> Variance:
-    nodes, weights = jitter_quadrature(poles, disturbance, shift)
-    return quadrature_variance(model.points(1j * nodes + shift), nodes, weights, disturbance, disturbance.at)
+    nodes, density = jitter_quadrature(poles, disturbance, shift)
+    return quadrature_variance(model.points(1j * nodes + shift), density, disturbance.at)
 
 
 def jitter_quadrature(
     poles: ClosedLoopPoles, disturbance: Disturbance, shift: float = 0.0
 ) -> tuple[Array, Array]:
-    """Nodes and weights of `resonance_quadrature` over what a disturbance counts."""
+    """Nodes of `resonance_quadrature` over what a disturbance counts [rad/s], and its power at each, weighted."""
     low, high = disturbance.counted
     cuts = disturbance.cuts
     own = disturbance.filter.poles if disturbance.filter is not None else np.zeros(0, complex)
     if poles.open_loop.drifting and low > 0:
         cuts = np.concatenate([cuts, drift_cuts(low, float(np.abs(poles.all).min()))])
-    return resonance_quadrature(np.concatenate([poles.all - shift, own]), low, high, cuts)
+    moved = np.concatenate([poles.all - shift, own - shift])
+    nodes, weights = resonance_quadrature(moved, low, high, cuts)
+    return nodes, weights / (2 * pi) * disturbance.one_sided_psd(nodes, shift)
 
 
 def drift_cuts(low: float, slowest: float) -> Array:
@@ -218,18 +220,15 @@ def drift_cuts(low: float, slowest: float) -> Array:
     return edges
 
 
-def quadrature_variance(
-    points: Points, nodes: Array, weights: Array, disturbance: Disturbance, response: str
-) -> Variance:
+def quadrature_variance(points: Points, density: Array, response: str) -> Variance:
     """Mean square line-of-sight error through one closed-loop transfer function.
 
     Parameters
     ----------
-    points
-        Where the (m,) nodes [rad/s] are.
+    density
+        (m,) power of the disturbance at each point, weight of the quadrature included [unit²].
     """
     answer = closed_loop_response(response, points.model.loop, points.s, points.g)
-    density = weights / (2 * pi) * disturbance.one_sided_psd(nodes)
     functional = Functional(response, points, 2 * density * answer.conj())
     return Variance(float(np.sum(density * np.abs(answer) ** 2)), (functional,))
 
