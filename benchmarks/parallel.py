@@ -40,7 +40,7 @@ from fosopt.study.template import TEMPLATE
 from fosopt.study.work import Parcel
 
 STUDIES = Path(__file__).resolve().parents[1] / "studies"
-FRONT_POINTS, SWEEP_POINTS, RESUME_POINTS, LONG_FRONT = 40, 1_000_000, 100_000, 10_000
+ROUNDS, FRONT_POINTS, SWEEP_POINTS, RESUME_POINTS, LONG_FRONT = 3, 40, 1_000_000, 100_000, 10_000
 TARGET_SPEEDUP, TARGET_STORED, TARGET_RESUME, TARGET_OVERHEAD = 1.8, 60.0, 3.0, 5.0
 
 SWEEP = """
@@ -65,8 +65,9 @@ def main() -> None:
         + f"""
 
 The front is `studies/mass-jitter.yaml` with {FRONT_POINTS} points, compared with the sequential habit:
-{2 * FRONT_POINTS} optimizations of 85 variables. Both times are wall-clock times from reading the study to
-the last point, start of the workers included; reports are left out. The answers agree to the last bit. What
+{2 * FRONT_POINTS} optimizations of 85 variables, by one process and by two workers in turn, {ROUNDS} rounds, of
+which medians are given. Times are wall-clock times from reading the study to the last point, start of the workers
+included; reports are left out. The answers agree to the last bit. What
 workers do not gain is the search for the two ends of the front, which nothing else can do meanwhile, and what
 dask takes for its messages. The overhead is that of errands that sleep for a second.
 
@@ -84,6 +85,11 @@ def timed(work: Callable[[], Any]) -> tuple[float, Any]:
     return time.perf_counter() - begin, found
 
 
+def forget_workers() -> None:
+    """End the process that workers are copies of, so that the next ones start from nothing."""
+    forkserver._forkserver._stop()
+
+
 def last_point(heard: list[Any]) -> float:
     """When the last point of a run was finished [s]."""
     return max(each.seconds for each in heard if each.point is not None)
@@ -92,18 +98,26 @@ def last_point(heard: list[Any]) -> float:
 def speedup(place: Path) -> list[tuple[str, str, str]]:
     """One process against two workers on one front."""
     study = load_study(STUDIES / "mass-jitter.yaml", (f"front.points={FRONT_POINTS}",))
-    times, fronts = [], []
-    for workers in (Workers(), Workers(2)):
-        heard: list[Any] = []
-        run = run_study(study, place / f"front-{workers.count}", progress=heard.append, workers=workers)
-        times.append(last_point(heard))
-        fronts.append([{k: v for k, v in p.items() if k != "seconds"} for p in run["points"]])
-    assert fronts[0] == fronts[1], "workers change the answer"
+    times: list[list[float]] = []
+    for k in range(ROUNDS):
+        times.append([])
+        fronts = []
+        for workers in (Workers(), Workers(2)):
+            heard: list[Any] = []
+            forget_workers()
+            out = place / f"front-{k}-{workers.count}"
+            run = run_study(study, out, progress=heard.append, workers=workers)
+            times[-1].append(last_point(heard))
+            fronts.append([{k: v for k, v in p.items() if k != "seconds"} for p in run["points"]])
+        assert fronts[0] == fronts[1], "workers change the answer"
+    one, two = np.median(times, axis=0)
+    ratios = sorted(alone / together for alone, together in times)
     start, share = overhead()
     return [
-        (f"front of {FRONT_POINTS} points, one process [s]", f"{times[0]:.1f}", ""),
-        ("the same, two workers [s]", f"{times[1]:.1f}", ""),
-        ("speed-up", f"{times[0] / times[1]:.2f}", f"≥ {TARGET_SPEEDUP}"),
+        (f"front of {FRONT_POINTS} points, one process [s]", f"{one:.1f}", ""),
+        ("the same, two workers [s]", f"{two:.1f}", ""),
+        ("speed-up, median of the rounds", f"{np.median(ratios):.2f}", f"≥ {TARGET_SPEEDUP}"),
+        ("speed-up, least and largest", f"{ratios[0]:.2f} to {ratios[-1]:.2f}", ""),
         ("start of two workers [s]", f"{start:.1f}", ""),
         ("start and overhead of 200 errands of a second [%]", f"{share:.1f}", f"< {TARGET_OVERHEAD:.0f}"),
     ]
@@ -139,7 +153,7 @@ def errand(name: str, request: Errand) -> None:
 def overhead() -> tuple[float, float]:
     """Start of the workers [s], and what all takes beside the work itself [%], for 200 errands of a second."""
     count, work = 200, 2
-    forkserver._forkserver._stop()  # what the front's workers were copies of, so that these start from nothing
+    forget_workers()
     begin = time.perf_counter()
     prepare()
     with Cluster(Errands(), Parcel({}, {}), perform=errand, workers=work) as pool:
