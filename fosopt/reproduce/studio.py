@@ -13,6 +13,7 @@ from multiprocessing import get_context, parent_process
 
 from fosopt.report.figures import Picture, picture
 from fosopt.reproduce.entry import Reproduction
+from fosopt.study.processes import unheard
 
 _MOST_PROCESSES = 4  # each takes some 100 MB
 
@@ -39,7 +40,8 @@ class Studio:
         if self.executor is None:
             return here
         try:
-            drawn = self.executor.submit(picture, result.panels, result.columns)
+            with unheard():  # the first orders begin the processes
+                drawn = self.executor.submit(picture, result.panels, result.columns)
         except BrokenExecutor:
             return here
 

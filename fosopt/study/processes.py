@@ -5,6 +5,8 @@ from __future__ import annotations
 import multiprocessing
 import os
 import signal
+from collections.abc import Iterator
+from contextlib import contextmanager
 
 _ONE_THREAD = {
     "OMP_NUM_THREADS": "1",
@@ -26,21 +28,37 @@ def prepare() -> None:
     """Start it where the system can copy processes; returns before it is ready."""
     if METHOD != "forkserver":
         return
-    from multiprocessing import forkserver, resource_tracker
+    from multiprocessing import forkserver
 
-    # Ctrl-C, which a terminal sends to all processes, is for the one that began the run: it is blocked for the copies
-    # from their first moment on. The tracker is started before, because it would lift that.
-    resource_tracker.ensure_running()
-    blocked = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
     kept = {name: os.environ.get(name) for name in SURROUNDINGS}
     multiprocessing.get_context(METHOD).set_forkserver_preload(["fosopt.study.cluster"])
     os.environ.update(SURROUNDINGS)
     try:
-        forkserver.ensure_running()
+        with unheard():
+            forkserver.ensure_running()
     finally:
-        signal.pthread_sigmask(signal.SIG_SETMASK, blocked)
         for name, value in kept.items():
             if value is None:
                 del os.environ[name]
             else:
                 os.environ[name] = value
+
+
+@contextmanager
+def unheard() -> Iterator[None]:
+    """Block Ctrl-C for processes that begin inside, from their first moment on.
+
+    A terminal sends it to all processes, but it is for the one that began the run, which hears of it afterwards.
+    """
+    if not hasattr(signal, "pthread_sigmask"):
+        yield
+        return
+    from multiprocessing import resource_tracker
+
+    # It would lift the block as it starts, so that it is started before.
+    resource_tracker.ensure_running()
+    blocked = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, blocked)
