@@ -159,9 +159,7 @@ def open_loop_poles(loop: Loop, modes: ModalSet, mirror_port: str) -> OpenLoopPo
         return _with_attachments(loop, modes, mirror_port, shapes)
     if loop.plain and loop.mirror.stiffness == 0:
         shapes = np.zeros_like(shapes)  # Without a spring the mirror neither moves nor feels the structure.
-    stiffness, half = modes.stiffness, 0.5 * modes.damping
-    root = np.sqrt((half**2 - stiffness).astype(complex))
-    first, second = -half + root, -half - root
+    stiffness, (first, second) = modes.stiffness, _modal_poles(modes)
     constant = np.column_stack([shapes[:, a] * shapes[:, b] for a, b in loop.pairs])
     seen = np.any(constant[:, moving_pairs(loop)], axis=1)
     constant, hidden = _combined(loop, modes, constant)
@@ -180,9 +178,7 @@ def _of_both_axes(loop: Loop, modes: ModalSet, shapes: Array) -> OpenLoopPoles:
     """Poles of the structure alone; what is attached to it, the other axis included, hangs on it."""
     ports = shapes[:, sorted({0, *(port for port, _ in loop.attachments)})]
     seen = np.any(np.abs(ports) > _NODE * np.abs(ports).max(axis=0), axis=1)
-    half = 0.5 * modes.damping
-    root = np.sqrt((half**2 - modes.stiffness).astype(complex))
-    first, second = -half + root, -half - root
+    first, second = _modal_poles(modes)
     constant = np.column_stack([shapes[:, a] * shapes[:, b] for a, b in loop.pairs])
     hidden = ~seen & (modes.stiffness > 0)
     return OpenLoopPoles(
@@ -195,6 +191,13 @@ def _of_both_axes(loop: Loop, modes: ModalSet, shapes: Array) -> OpenLoopPoles:
         bool(np.any(modes.stiffness == 0)),
         tuple(loop.attachments),
     )
+
+
+def _modal_poles(modes: ModalSet) -> tuple[ComplexArray, ComplexArray]:
+    """(n,), (n,) The two poles of each mode."""
+    half = 0.5 * modes.damping
+    root = np.sqrt((half**2 - modes.stiffness).astype(complex))
+    return -half + root, -half - root
 
 
 def moving_pairs(loop: Loop, hub: bool = False) -> list[int]:
@@ -245,8 +248,6 @@ def _with_attachments(loop: Loop, modes: ModalSet, mirror_port: str, shapes: Arr
     quotient of ψ gives p to the square of what the eigenvalue solver left of an error.    [Lancaster1966]
     """
     deaf = ~np.any(np.delete(shapes, 1, axis=1), axis=1)
-    half = 0.5 * modes.damping[deaf]
-    root = np.sqrt((half**2 - modes.stiffness[deaf]).astype(complex))
     seen = modes.keep(np.flatnonzero(~deaf))
     n = seen.natural_frequency.size
     structure = (np.eye(n), np.diag(seen.damping), np.diag(seen.stiffness))
@@ -277,7 +278,7 @@ def _with_attachments(loop: Loop, modes: ModalSet, mirror_port: str, shapes: Arr
         first, second = np.append(first, 0.0), np.append(second, 0.0)
         constant = np.vstack([constant, [own[p] * own[q] / whole for p, q in loop.pairs]])
         linear = np.vstack([linear, np.zeros(linear.shape[1])])
-    hidden = np.concatenate([-half + root, -half - root])
+    hidden = np.concatenate(_modal_poles(modes.keep(np.flatnonzero(deaf))))
     return OpenLoopPoles(first, second, constant, linear, ~deaf, hidden, drifting)
 
 
